@@ -147,8 +147,8 @@ def check_batch(batch: Any, n: int) -> None:
     if (counts < MIN_POINTS).any():
         i = int((counts < MIN_POINTS).nonzero()[0])
         raise ValueError(
-            f"`batch` must give every shape at least {MIN_POINTS} points, got {int(counts[i])} in shape "
-            f"{i}; drop that shape or renumber with batch.unique(return_inverse=True)[1]"
+            f"`batch` must give every shape at least {MIN_POINTS} points, got {int(counts[i])} in "
+            f"shape {i}; drop that shape or renumber with batch.unique(return_inverse=True)[1]"
         )
 
 
