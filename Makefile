@@ -1,0 +1,41 @@
+# Every target sets up .venv by itself, once, and again when a dependency changes.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+
+.PHONY: help demo test lint types check format train setup clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | expand -t 10
+
+setup: $(STAMP)  ## create .venv with the exact versions of constraints.txt
+
+demo: $(STAMP)  ## encode a cloud, draw Exp and Log, print an error table; SHAPE=path for your own
+	$(BIN)/python examples/quickstart.py $(if $(SHAPE),"$(SHAPE)")
+
+test: $(STAMP)  ## run all tests; ARGS='-m "not slow"' passes options to pytest
+	$(BIN)/python -m pytest -q $(ARGS)
+
+lint: $(STAMP)  ## formatting and lint
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: $(STAMP)  ## static types
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+check: lint types test  ## everything that CI asks for, the demo apart
+
+format: $(STAMP)  ## put the code into the house format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:  ## remove the environment and the demo's output
+	rm -rf $(VENV) demo_output
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "riemlayer needs Python 3.11 or newer, found " + sys.version.split()[0] + "; name another one with: make PYTHON=python3.11")'
+	@echo "Setting up $(VENV) (once; a few minutes)"
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[data,viz,cli,scale,dev]"
+	@touch $@
