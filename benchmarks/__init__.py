@@ -1,0 +1,1 @@
+"""Commands that measure riemlayer and its rivals."""

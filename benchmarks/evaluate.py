@@ -1,0 +1,173 @@
+"""One method on one prepared shape: every metric at every radius, and the times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from riemlayer import metrics
+from riemlayer.baselines import SupportsExp, SupportsLog, SupportsMesh, SupportsPoints, TrueLog
+
+Array = np.ndarray
+RADII = (0.5, 0.25, 0.1)
+BINS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape of the evaluation set; the fields are the arrays of its file."""
+
+    V: Array
+    F: Array
+    points: Array
+    src: Array
+    src_normal: Array
+    vec: Array
+    end: Array
+    ok: Array
+    ok_tight: Array
+    log: Array
+    valid: Array
+    valid_tight: Array
+
+    @classmethod
+    def load(cls, path: Path, sources: int | None = None) -> Shape:
+        """Read `path`, with the first `sources` sources only (all when None).
+
+        Raises:
+            ValueError: the file lacks an array.
+        """
+        with np.load(path) as file:
+            missing = [name for name in cls.__dataclass_fields__ if name not in file]
+            if missing:
+                raise ValueError(
+                    f"{path} must hold the arrays of a prepared shape, lacks {missing}"
+                )
+            arrays = {name: file[name] for name in cls.__dataclass_fields__}
+        shared = ("V", "F", "points")
+        return cls(**{k: x if k in shared else x[:sources] for k, x in arrays.items()})
+
+    def masks(self, s: int) -> dict[str, tuple[Array, Array]]:
+        """Masks of source s, {"r0.5": (vertices (n,), end points (K,)), ..., "r0.5_tight": ...}."""
+        reach, length = (np.linalg.norm(x[s], axis=-1) for x in (self.log, self.vec))
+        rows = {f"r{r}": (self.valid[s] & (reach < r), self.ok[s] & (length < r)) for r in RADII}
+        return rows | {"r0.5_tight": (self.valid_tight[s], self.ok_tight[s])}
+
+
+def evaluate(method: object, shape: Shape) -> dict[str, dict[str, float]]:
+    """Mean over the sources of every metric of `method` on `shape`, and median times (seconds).
+
+    Returns:
+        {"r0.5": {"mdd", "mdd_clip", "angle", "log_end", "exp"}, "r0.25": ..., "r0.1": ...,
+        "r0.5_tight": ..., "exp_by_length": ..., "relative_by_length": ..., "at_p": {"log_zero",
+        "log_differential", "exp_zero", "exp_differential"}, "time": {"prepare", "log", "exp"}}.
+        A map that the method lacks has no entries; a source whose mask holds no triangle or no end
+        point is left out of that mask's mean.
+
+    Raises:
+        ValueError: an answer is not finite where it counts.
+    """
+    rows: list[tuple[str, str, float]] = [("time", "prepare", _timed(_prepare, method, shape)[1])]
+    for s in range(len(shape.src)):
+        if isinstance(method, SupportsLog):
+            rows += _log_rows(method, shape, s)
+        if isinstance(method, SupportsExp):
+            rows += _exp_rows(method, shape, s)
+    table: dict[str, dict[str, list[float]]] = {}
+    for section, name, value in rows:
+        table.setdefault(section, {}).setdefault(name, []).append(value)
+    return summarise(table)
+
+
+def summarise(table: dict[str, dict[str, list[float]]]) -> dict[str, dict[str, float]]:
+    """Mean of every list of numbers; the median of times."""
+    return {
+        section: {
+            key: float(np.median(x) if section == "time" else np.mean(x)) for key, x in row.items()
+        }
+        for section, row in table.items()
+    }
+
+
+def _prepare(method: object, shape: Shape) -> None:
+    if isinstance(method, TrueLog):
+        method.prepare_truth(shape.V, shape.src, shape.log)
+    elif isinstance(method, SupportsMesh):
+        method.prepare_mesh(shape.V, shape.F)
+    elif isinstance(method, SupportsPoints):
+        method.prepare(shape.points)
+    else:
+        raise ValueError(f"method must have prepare(points), got {type(method).__name__}")
+
+
+def _log_rows(method: SupportsLog, shape: Shape, s: int) -> list[tuple[str, str, float]]:
+    p, n = shape.V[shape.src[s]], len(shape.V)
+    log, seconds = _timed(method.log, p, shape.V)
+    at_end = _answer(method.log(p, shape.end[s]), shape.end[s].shape)
+    log = _answer(log, (n, 3))
+    V, F, v = map(torch.from_numpy, (shape.V, shape.F, shape.vec[s]))
+    rows = [("time", "log", seconds)]
+    for section, (vertices, ends) in shape.masks(s).items():
+        if vertices[shape.F].all(-1).any():
+            row = {
+                "mdd": metrics.distance_distortion(V, F, log, vertices),
+                "mdd_clip": metrics.distance_distortion(V, F, log, vertices, clip=1),
+                "angle": metrics.angle_error(V, F, log, vertices),
+            }
+            rows += [(section, name, float(value)) for name, value in row.items()]
+        if ends.any():
+            rows.append((section, "log_end", float(metrics.log_end_error(v, at_end, ends))))
+    frame = tangent_frame(shape.src_normal[s])
+    differential = metrics.log_differential_error(method.log, p, frame)
+    rows.append(("at_p", "log_zero", float(metrics.log_zero_error(method.log, p))))
+    return [*rows, ("at_p", "log_differential", float(differential))]
+
+
+def _exp_rows(method: SupportsExp, shape: Shape, s: int) -> list[tuple[str, str, float]]:
+    p, v, end = shape.V[shape.src[s]], shape.vec[s], shape.end[s]
+    q, seconds = _timed(method.exp, p, v)
+    q = _answer(q, end.shape)
+    rows = [("time", "exp", seconds)]
+    for section, (_, ends) in shape.masks(s).items():
+        if ends.any():
+            rows.append((section, "exp", float(metrics.exp_error(end, q, ends))))
+    tight = shape.ok_tight[s]
+    error = (torch.from_numpy(end[tight]) - q[tight]).norm(dim=-1)
+    length = torch.from_numpy(v[tight]).norm(dim=-1)
+    for section, e in (("exp_by_length", error), ("relative_by_length", error / length)):
+        means, counts = metrics.mean_by_length(e, length, torch.tensor(BINS))
+        rows += [
+            (section, f"{low:g}-{high:g}", float(mean))
+            for low, high, mean, count in zip(BINS[:-1], BINS[1:], means, counts, strict=True)
+            if count
+        ]
+    frame = tangent_frame(shape.src_normal[s])
+    differential = metrics.exp_differential_error(method.exp, p, frame)
+    rows.append(("at_p", "exp_zero", float(metrics.exp_zero_error(method.exp, p))))
+    return [*rows, ("at_p", "exp_differential", float(differential))]
+
+
+def tangent_frame(normal: Array) -> Array:
+    """Orthonormal tangent axes (3, 2), as columns, at a unit normal (3,)."""
+    helper = np.eye(3, dtype=normal.dtype)[np.abs(normal).argmin()]
+    first = np.cross(normal, helper)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)], -1)
+
+
+def _answer(values: object, shape: tuple[int, ...]) -> torch.Tensor:
+    values = torch.as_tensor(values, dtype=torch.float32)
+    if values.shape != shape:
+        raise ValueError(f"a map must answer with shape {shape}, got {tuple(values.shape)}")
+    return values
+
+
+def _timed(function: Callable, *args) -> tuple[object, float]:
+    start = time.perf_counter()
+    result = function(*args)
+    return result, time.perf_counter() - start

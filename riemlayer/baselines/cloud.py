@@ -1,0 +1,63 @@
+"""What the rivals share: PCA planes of a cloud and carrying values from its points to others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Array = np.ndarray
+
+
+def pca_normals(points: Array, tree, queries: Array, k: int) -> Array:
+    """Unit normals (K, 3) at queries (K, 3): least principal axis of the k nearest points.
+
+    The sign is arbitrary.
+
+    Args:
+        points: (N, 3) cloud.
+        tree: its `scipy.spatial.cKDTree`.
+        queries: (K, 3) positions.
+        k: number of neighbours.
+    """
+    neighbours = points[tree.query(queries, k=min(k, len(points)))[1]]
+    centred = neighbours - neighbours.mean(1, keepdims=True)
+    return np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)[1][:, :, 0]
+
+
+def mean_spacing(points: Array, tree, k: int) -> float:
+    """Mean distance of a point to its k nearest others: the cloud's average edge length."""
+    return float(tree.query(points, k=min(k + 1, len(points)))[0][:, 1:].mean())
+
+
+def carry_over(points: Array, values: Array, tree, queries: Array, k: int) -> Array:
+    """Values at queries (K, C) by a weighted affine fit over the k nearest points (ours).
+
+    A query that is a point of the cloud gets that point's value unchanged. The affine part lives
+    in the neighbourhood's plane (its two main axes), which keeps the fit well posed on a surface.
+
+    Args:
+        points: (N, 3) cloud.
+        values: (N, C) values at its points.
+        tree: its `scipy.spatial.cKDTree`.
+        queries: (K, 3) positions.
+        k: number of neighbours.
+    """
+    distance, index = tree.query(queries, k=min(k, len(points)))
+    result = values[index[:, 0]]
+    away = distance[:, 0] > 0
+    if not away.any():
+        return result
+    distance, index, queries = distance[away], index[away], queries[away]
+    weight = np.exp(-0.5 * (distance / distance.mean(1, keepdims=True)) ** 2)
+    weight /= weight.sum(1, keepdims=True)
+    centre = (weight[..., None] * points[index]).sum(1)
+    offset = points[index] - centre[:, None]
+    moment = np.einsum("nk,nki,nkj->nij", weight, offset, offset)
+    spread, axes = np.linalg.eigh(moment)
+    plane = axes[:, :, 1:]
+    local = offset @ plane
+    at_query = ((queries - centre)[:, None] @ plane)[:, 0] / np.maximum(
+        spread[:, 1:], 1e-3 * spread[:, 2:]
+    )
+    weight = weight * (1 + np.einsum("nki,ni->nk", local, at_query))
+    result[away] = np.einsum("nk,nkc->nc", weight, values[index])
+    return result

@@ -1,0 +1,272 @@
+"""The paper's measures of quality: Eqs. (5), (6), E_MDD, (10)-(12), and ours beside them.
+
+Every function takes tensors (anything `torch.as_tensor` accepts) and returns a tensor.
+Vertices V (n, 3), faces F (m, 3); `log` holds one tangent vector a vertex, (n, 2) in a frame
+or (n, 3) ambient: lengths and angles are the same in both. `valid` (n,) bool picks the vertices
+that count; a triangle or an edge counts when all of its vertices do.
+No function returns NaN: what is undefined raises a ValueError that says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+Map = Callable[[Tensor, Tensor], Tensor]
+
+
+def angle_error(vertices: Tensor, faces: Tensor, log: Tensor, valid: Tensor) -> Tensor:
+    """Eq. (5): mean |angle in space - angle in the tangent plane| over valid triangles, degrees.
+
+    Degenerate: a corner with a side of zero length has angle 0, so a triangle that the log map
+    collapses to a point costs 60 degrees on average.
+
+    Args:
+        vertices: (n, 3) positions.
+        faces: (m, 3) vertex indices.
+        log: (n, 2) or (n, 3) tangent vectors.
+        valid: (n,) bool.
+
+    Raises:
+        ValueError: no triangle is valid, or `log` is not finite on one.
+
+    Example:
+        >>> V = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        >>> log = torch.tensor([[0.0, 0], [1, 0], [1, 1]])  # a right angle moves to a neighbour
+        >>> valid = torch.ones(3, dtype=torch.bool)
+        >>> angle_error(V, torch.tensor([[0, 1, 2]]), log, valid).round().item()
+        30.0
+    """
+    vertices, faces, log = torch.as_tensor(vertices), torch.as_tensor(faces).long(), _space(log)
+    faces = faces[torch.as_tensor(valid)[faces].all(-1)]
+    _demand(len(faces) > 0, "valid leaves no triangle to measure; widen the mask or the radius")
+    _demand_finite(log[faces], "log")
+    return (_corner_angles(vertices[faces]) - _corner_angles(log[faces])).abs().mean().rad2deg()
+
+
+def distance_distortion(
+    vertices: Tensor, faces: Tensor, log: Tensor, valid: Tensor, clip: float | None = None
+) -> Tensor:
+    """E_MDD (section 4): mean |L_3D / L_tan - 1| over valid edges; ours: each edge clipped.
+
+    As printed the ratio has no upper bound and a few collapsed edges decide the mean; `clip=1`
+    counts such an edge as completely wrong and no more.
+
+    Degenerate: an edge that the log map collapses to zero costs infinity (or `clip`); an edge of
+    zero length that stays so costs 0, one that does not costs 1.
+
+    Args:
+        vertices: (n, 3) positions.
+        faces: (m, 3) vertex indices; every edge counts once.
+        log: (n, 2) or (n, 3) tangent vectors.
+        valid: (n,) bool.
+        clip: upper bound of one edge's distortion.
+
+    Raises:
+        ValueError: no edge is valid, or `log` is not finite on one.
+
+    Example:
+        >>> V = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
+        >>> valid = torch.tensor([True, True, False])
+        >>> log = torch.tensor([[0.0, 0], [0.5, 0], [0, 2]])
+        >>> distance_distortion(V, torch.tensor([[0, 1, 2]]), log, valid).item()  # |1 / 0.5 - 1|
+        1.0
+    """
+    vertices, log = torch.as_tensor(vertices), _space(log)
+    edges = _valid_edges(torch.as_tensor(faces).long(), torch.as_tensor(valid))
+    _demand(len(edges) > 0, "valid leaves no edge to measure; widen the mask or the radius")
+    _demand_finite(log[edges], "log")
+    length = (vertices[edges[:, 1]] - vertices[edges[:, 0]]).norm(dim=-1)
+    tangent = (log[edges[:, 1]] - log[edges[:, 0]]).norm(dim=-1)
+    both_zero = (length == 0) & (tangent == 0)
+    distortion = (length / torch.where(both_zero, 1, tangent) - 1).abs().masked_fill(both_zero, 0)
+    return (distortion if clip is None else distortion.clamp(max=clip)).mean()
+
+
+def exp_error(q: Tensor, prediction: Tensor, valid: Tensor | None = None) -> Tensor:
+    """Eq. (6): mean |q - prediction| over the valid end points.
+
+    Args:
+        q: (..., 3) true end points.
+        prediction: (..., 3) predicted end points.
+        valid: (...) bool; all when None.
+
+    Raises:
+        ValueError: nothing is valid, or a valid prediction is not finite.
+
+    Example:
+        >>> exp_error(torch.zeros(2, 3), torch.tensor([[3.0, 4, 0], [0, 0, 0]])).item()
+        2.5
+    """
+    return _mean_distance(q, prediction, valid)
+
+
+def log_end_error(v: Tensor, prediction: Tensor, valid: Tensor | None = None) -> Tensor:
+    """Mean |Log_p(Exp_p(v)) - v|, the Log error at traced end points (ours).
+
+    Unlike Eq. (5) and E_MDD a perfect method reaches 0 on every surface.
+
+    Args:
+        v: (..., 3) the vectors that were traced.
+        prediction: (..., 3) Log_p at the end points of `v`.
+        valid: (...) bool; all when None.
+
+    Raises:
+        ValueError: nothing is valid, or a valid prediction is not finite.
+
+    Example:
+        >>> log_end_error(torch.tensor([[1.0, 0, 0]]), torch.tensor([[0.0, 0, 0]])).item()
+        1.0
+    """
+    return _mean_distance(v, prediction, valid)
+
+
+def mean_by_length(error: Tensor, length: Tensor, bounds: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean error in bins of the geodesic length (ours).
+
+    Degenerate: an empty bin has mean 0 and count 0; read the counts.
+
+    Args:
+        error: (K,) errors.
+        length: (K,) lengths of the vectors they belong to.
+        bounds: (B + 1,) increasing; bin i holds bounds[i] <= length < bounds[i + 1].
+
+    Returns:
+        (B,) means and (B,) counts.
+
+    Raises:
+        ValueError: an error is not finite.
+
+    Example:
+        >>> error, length = torch.tensor([0.1, 0.3]), torch.tensor([0.2, 0.4])
+        >>> mean_by_length(error, length, torch.tensor([0.0, 0.5, 1.0]))
+        (tensor([0.2000, 0.0000]), tensor([2, 0]))
+    """
+    error, length, bounds = map(torch.as_tensor, (error, length, bounds))
+    _demand_finite(error[:, None], "error")
+    inside = (bounds[:-1, None] <= length) & (length < bounds[1:, None])
+    counts = inside.sum(-1)
+    return torch.where(inside, error, 0).sum(-1) / counts.clamp_min(1), counts
+
+
+def zero_point_errors(exp: Map, log: Map, p: Tensor) -> tuple[Tensor, Tensor]:
+    """Eq. (11): |Exp_p(0) - p| and |Log_p(p)| at one source.
+
+    Args:
+        exp: maps p (3,), v (K, 3) to end points (K, 3).
+        log: maps p (3,), q (K, 3) to vectors (K, 3).
+        p: (3,) source.
+
+    Example:
+        >>> zero_point_errors(lambda p, v: p + v, lambda p, q: q - p, torch.ones(3))
+        (tensor(0.), tensor(0.))
+    """
+    return exp_zero_error(exp, p), log_zero_error(log, p)
+
+
+def exp_zero_error(exp: Map, p: Tensor) -> Tensor:
+    """Eq. (11), left: |Exp_p(0) - p|; arguments as in `zero_point_errors`."""
+    p = torch.as_tensor(p)
+    return (torch.as_tensor(exp(p, p.new_zeros(1, 3)))[0] - p).norm()
+
+
+def log_zero_error(log: Map, p: Tensor) -> Tensor:
+    """Eq. (11), right: |Log_p(p)|; arguments as in `zero_point_errors`."""
+    p = torch.as_tensor(p)
+    return torch.as_tensor(log(p, p[None]))[0].norm()
+
+
+def differential_errors(
+    exp: Map, log: Map, p: Tensor, frame: Tensor, step: float = 0.02
+) -> tuple[Tensor, Tensor]:
+    """Eqs. (10), (12): |d(Exp_p)_0 - I|_F and |d(Log_p)_p - I|_F, 2x2 in a tangent frame.
+
+    Differentials are central differences, so any callable will do. Log is asked at the points
+    p +- step * axis of the tangent plane, which leave the surface by curvature * step^2 / 2 only:
+    in a central difference the two departures cancel.
+
+    Args:
+        exp: maps p (3,), v (K, 3) to end points (K, 3).
+        log: maps p (3,), q (K, 3) to vectors (K, 3).
+        p: (3,) source.
+        frame: (3, 2) orthonormal tangent axes at p, as columns.
+        step: length of the difference, in the unit of p.
+
+    Example:
+        >>> frame, p = torch.eye(3)[:, :2], torch.zeros(3)
+        >>> differential_errors(lambda p, v: p + v, lambda p, q: 2 * (q - p), p, frame)
+        (tensor(0.), tensor(1.4142))
+    """
+    return (
+        exp_differential_error(exp, p, frame, step),
+        log_differential_error(log, p, frame, step),
+    )
+
+
+def exp_differential_error(exp: Map, p: Tensor, frame: Tensor, step: float = 0.02) -> Tensor:
+    """Eq. (12), left: |d(Exp_p)_0 - I|_F; arguments as in `differential_errors`."""
+    p, frame = torch.as_tensor(p), torch.as_tensor(frame)
+    return _distance_to_identity(exp(p, step * torch.cat([frame.T, -frame.T])), frame, step)
+
+
+def log_differential_error(log: Map, p: Tensor, frame: Tensor, step: float = 0.02) -> Tensor:
+    """Eq. (12), right: |d(Log_p)_p - I|_F; arguments as in `differential_errors`."""
+    p, frame = torch.as_tensor(p), torch.as_tensor(frame)
+    return _distance_to_identity(log(p, p + step * torch.cat([frame.T, -frame.T])), frame, step)
+
+
+def _distance_to_identity(values: Tensor, frame: Tensor, step: float) -> Tensor:
+    """|D - I|_F of the 2x2 central difference D of the values at +axes, -axes (4, 3)."""
+    values = torch.as_tensor(values, dtype=frame.dtype)
+    differential = frame.T @ ((values[:2] - values[2:]) / (2 * step)).T
+    return (differential - torch.eye(2, dtype=frame.dtype, device=frame.device)).norm()
+
+
+def _mean_distance(truth: Tensor, prediction: Tensor, valid: Tensor | None) -> Tensor:
+    """Mean |truth - prediction| over valid rows."""
+    truth, prediction = torch.as_tensor(truth), torch.as_tensor(prediction)
+    _demand(
+        truth.shape == prediction.shape,
+        f"prediction must have shape {tuple(truth.shape)}, got {tuple(prediction.shape)}",
+    )
+    if valid is not None:
+        truth, prediction = truth[torch.as_tensor(valid)], prediction[torch.as_tensor(valid)]
+    _demand(truth.numel() > 0, "valid leaves no row to measure; widen the mask or the radius")
+    _demand_finite(prediction, "prediction")
+    return (truth - prediction).norm(dim=-1).mean()
+
+
+def _valid_edges(faces: Tensor, valid: Tensor) -> Tensor:
+    """Undirected edges (E, 2) with two valid ends, each once."""
+    edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    low, high = edges[valid[edges].all(-1)].sort(dim=-1).values.unbind(-1)
+    keys = torch.unique(low * len(valid) + high)
+    return torch.stack([keys // len(valid), keys % len(valid)], -1)
+
+
+def _corner_angles(corners: Tensor) -> Tensor:
+    """Interior angles (m, 3) in radians of triangles (m, 3, 3)."""
+    ahead, behind = corners.roll(-1, 1) - corners, corners.roll(1, 1) - corners
+    return torch.atan2(torch.linalg.cross(ahead, behind).norm(dim=-1), (ahead * behind).sum(-1))
+
+
+def _space(log: Tensor) -> Tensor:
+    """Tangent vectors of 2 coordinates padded to 3."""
+    log = torch.as_tensor(log)
+    _demand(
+        log.ndim == 2 and log.shape[1] in (2, 3),
+        f"log must have shape (n, 2) or (n, 3), got {tuple(log.shape)}",
+    )
+    return torch.nn.functional.pad(log, (0, 3 - log.shape[1]))
+
+
+def _demand_finite(x: Tensor, name: str) -> None:
+    bad = int((~torch.isfinite(x)).any(-1).sum())
+    _demand(bad == 0, f"{name} must be finite where valid, got {bad} rows with NaN or infinity")
+
+
+def _demand(holds: bool, message: str) -> None:
+    if not holds:
+        raise ValueError(message)
