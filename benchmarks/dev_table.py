@@ -17,7 +17,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from benchmarks.evaluate import Shape, evaluate, summarise
+from benchmarks.evaluate import RADII, Shape, evaluate, summarise
 from riemlayer.baselines import Heat, Neural, Projection, TrueLog, Walking
 
 VERSION = 1
@@ -27,7 +27,7 @@ METHODS: dict[str, Callable[[], object]] = {
     "tracing": Walking,
     "floor": TrueLog,
 }
-SECTIONS = ("r0.5", "r0.25", "r0.1", "r0.5_tight")
+SECTIONS = tuple(f"r{r}{kind}" for kind in ("", "_tight") for r in RADII)
 COLUMNS = {
     "E_MDD": "mdd",
     "MDD<=1": "mdd_clip",

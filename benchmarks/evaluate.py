@@ -53,18 +53,33 @@ class Shape:
         return cls(**{k: x if k in shared else x[:sources] for k, x in arrays.items()})
 
     def masks(self, s: int) -> dict[str, tuple[Array, Array]]:
-        """Masks of source s, {"r0.5": (vertices (n,), end points (K,)), ..., "r0.5_tight": ...}."""
+        """Masks of source s, {"r0.5": (vertices (n,), end points (K,)), "r0.5_tight": ..., ...}.
+
+        A vertex counts at radius r when it is valid, |log| < r and, since far from the source the
+        table's log maps collapse to short vectors, |V - p| < 1.05 r. The tight masks hold shortest
+        geodesics only and are free of such vertices.
+        """
         reach, length = (np.linalg.norm(x[s], axis=-1) for x in (self.log, self.vec))
-        rows = {f"r{r}": (self.valid[s] & (reach < r), self.ok[s] & (length < r)) for r in RADII}
-        return rows | {"r0.5_tight": (self.valid_tight[s], self.ok_tight[s])}
+        near = np.linalg.norm(self.V - self.V[self.src[s]], axis=-1) / 1.05
+        return {
+            f"r{r}{kind}": (
+                vertices[s] & (reach < r) & (near < r),
+                ends[s] & (length < r),
+            )
+            for kind, vertices, ends in (
+                ("", self.valid, self.ok),
+                ("_tight", self.valid_tight, self.ok_tight),
+            )
+            for r in RADII
+        }
 
 
 def evaluate(method: object, shape: Shape) -> dict[str, dict[str, float]]:
     """Mean over the sources of every metric of `method` on `shape`, and median times (seconds).
 
     Returns:
-        {"r0.5": {"mdd", "mdd_clip", "angle", "log_end", "exp"}, "r0.25": ..., "r0.1": ...,
-        "r0.5_tight": ..., "exp_by_length": ..., "relative_by_length": ..., "at_p": {"log_zero",
+        {"r0.5": {"mdd", "mdd_clip", "angle", "log_end", "exp"}, ... (one entry a mask),
+        "exp_by_length": {"0-0.1": ...}, "relative_by_length": ..., "at_p": {"log_zero",
         "log_differential", "exp_zero", "exp_differential"}, "time": {"prepare", "log", "exp"}}.
         A map that the method lacks has no entries; a source whose mask holds no triangle or no end
         point is left out of that mask's mean.
