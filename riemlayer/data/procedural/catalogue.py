@@ -4,7 +4,7 @@ import zlib
 
 import numpy as np
 
-from riemlayer.data.procedural import abstract, furniture, vessels
+from riemlayer.data.procedural import abstract, animals, figures, furniture, vessels
 from riemlayer.data.procedural.finish import Shape, finish
 from riemlayer.data.procedural.solids import chance
 
@@ -25,6 +25,14 @@ BUILDERS = {
     "wireframe": abstract.wireframe,
     "blob": abstract.blob,
     "branches": abstract.branches,
+    "humanoid": figures.humanoid,
+    "hand": figures.hand,
+    "bust": figures.bust,
+    "quadruped": animals.quadruped,
+    "bird": animals.bird,
+    "fish": animals.fish,
+    "insect": animals.insect,
+    "tentacles": animals.tentacles,
 }
 KINDS: tuple[str, ...] = tuple(BUILDERS)
 ATTEMPTS = 30

@@ -39,7 +39,7 @@ class Sculpture:
         roughness: (k, 3) wave vectors and (k,) amplitudes of a displacement of the surface.
     """
 
-    def __init__(self, blend: float = 0.05, cells: float = 1.1e6):
+    def __init__(self, blend: float = 0.05, cells: float = 0.8e6):
         self.blend, self.cells = blend, cells
         self.parts: list[Part] = []
         self.waves: list[tuple[np.ndarray, float, float]] = []
@@ -158,7 +158,7 @@ def polygonise(values: np.ndarray, low: np.ndarray, step: float):
     values = np.pad(np.clip(values, -8 * step, 8 * step), 1, constant_values=8 * step)
     vertices, faces, _, _ = marching_cubes(values, 0.0)
     solid = from_arrays((vertices.astype(float) - 1) * step + low, faces)
-    return to_arrays(solid.simplify(0.06 * step))
+    return to_arrays(solid.simplify(0.08 * step))
 
 
 def _local(x, y, z, centre, turn):
