@@ -1,0 +1,170 @@
+"""What is drawn: a shape, a log map on it, geodesics, and where one looks from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray
+
+BLUE, CREAM = (0.0, 0.447, 0.698), (0.965, 0.945, 0.875)
+"""The two tiles: apart in lightness, so that no kind of colour blindness merges them."""
+PLAIN = (0.80, 0.80, 0.82)
+"""Surface out of reach of the map."""
+ORANGE, BLACK = (0.835, 0.369, 0.0), (0.1, 0.1, 0.1)
+"""Geodesics: the answer, and the reference beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """One shape with what was calculated on it; tensors and arrays are both welcome.
+
+    Args:
+        points: (N, 3) vertices of a mesh, or a cloud (drawn as small discs).
+        faces: (M, 3) triangles, or None for a cloud.
+        log: (N, 2) tangent coordinates of every point (`tangent_coordinates`), drawn as tiles.
+        p: (3,) source, drawn as a ball.
+        paths: (K, T, 3) polylines such as geodesics from `p`.
+        reference: polylines to hold `paths` against, drawn thinner and in black.
+        title: a few words above the picture.
+        radius: the checkerboard ends at |log| = radius.
+        period: side of a tile, in the unit of `log`.
+    """
+
+    points: Any
+    faces: Any = None
+    log: Any = None
+    p: Any = None
+    paths: Sequence[Any] = ()
+    reference: Sequence[Any] = ()
+    title: str = ""
+    radius: float = 0.5
+    period: float = 0.1
+    normals: Array = field(init=False)
+    """(N, 3) unit normals for shading; their sign has no meaning on a cloud."""
+    spacing: float = field(init=False)
+    """Typical distance of neighbouring points."""
+
+    def __post_init__(self) -> None:
+        points = to_numpy(self.points, float)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
+            raise ValueError(f"`points` must have shape (N, 3) with N >= 4, got {points.shape}")
+        if self.log is not None and np.shape(self.log) != (len(points), 2):
+            raise ValueError(
+                f"`log` must have shape ({len(points)}, 2), got {np.shape(self.log)}; "
+                "flatten vectors with tangent_coordinates(log, normal)"
+            )
+        put: dict[str, Any] = {"points": points}
+        for name, dtype in (("faces", np.int64), ("log", float), ("p", float)):
+            value = getattr(self, name)
+            put[name] = None if value is None else to_numpy(value, dtype)
+        for name in ("paths", "reference"):
+            put[name] = tuple(to_numpy(path, float) for path in getattr(self, name))
+        if put["faces"] is None:
+            put["normals"], put["spacing"] = _cloud_normals(points)
+        else:
+            put["normals"], put["spacing"] = _mesh_normals(points, put["faces"])
+        for name, value in put.items():
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One camera for all pictures of a shape.
+
+    Args:
+        centre: (3,) middle of what is seen.
+        extent: radius of the ball that must be in the picture.
+        direction: (3,) unit vector from the centre to the eye.
+        up: (3,) unit vector, orthogonal to `direction`.
+    """
+
+    centre: Array
+    extent: float
+    direction: Array
+    up: Array
+
+
+def viewpoint(points: Any, p: Any, normal: Any, tilt: float = 0.6) -> View:
+    """The camera that sees the source well: from above its tangent plane, a little from the side.
+
+    Args:
+        points: (N, 3) the whole shape.
+        p: (3,) source.
+        normal: (3,) normal at `p`; its sign is chosen so that most of the shape lies behind `p`.
+        tilt: how far the eye leans from the normal, as a tangent.
+    """
+    points, p, normal = (to_numpy(x, float) for x in (points, p, normal))
+    if ((points - p) @ normal > 0).mean() > 0.5:
+        normal = -normal
+    vertical = np.array([0.0, 1.0, 0.0]) if abs(normal[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
+    right = _unit(np.cross(vertical, normal))
+    direction = _unit(normal + tilt * (_unit(np.cross(normal, right)) + 0.7 * right))
+    up = _unit(vertical - (vertical @ direction) * direction)
+    centre = (points.min(0) + points.max(0)) / 2
+    return View(centre, float(np.linalg.norm(points - centre, axis=1).max()), direction, up)
+
+
+def tangent_coordinates(log: Any, normal: Any) -> Array:
+    """Appendix A: ambient tangent vectors (N, 3) in a frame of the plane with this normal (3,).
+
+    The frame depends on the normal alone, so maps of several methods can be laid side by side.
+
+    Example:
+        >>> tangent_coordinates([[3.0, 4.0, 0.0]], [0.0, 0.0, 1.0]).round(6)
+        array([[3., 4.]])
+    """
+    log, normal = to_numpy(log, float), _unit(to_numpy(normal, float))
+    axis = np.eye(3)[np.abs(normal).argmin()]
+    first = _unit(axis - (axis @ normal) * normal)
+    return log @ np.stack([first, np.cross(normal, first)], axis=1)
+
+
+def checkerboard(log: Any, period: float = 0.1, radius: float = 0.5) -> Array:
+    """Colours (N, 3) in [0, 1] of tangent coordinates (N, 2): tiles up to `radius`.
+
+    Example:
+        >>> colours = checkerboard([[0.05, 0.05], [0.05, 0.15], [9.0, 0.0]])
+        >>> colours.round(1).tolist()
+        [[0.0, 0.4, 0.7], [1.0, 0.9, 0.9], [0.8, 0.8, 0.8]]
+    """
+    log = to_numpy(log, float)
+    odd = np.floor(log / period).sum(-1) % 2 == 1
+    colours = np.where(odd[:, None], CREAM, BLUE)
+    return np.where((np.linalg.norm(log, axis=-1) <= radius)[:, None], colours, PLAIN)
+
+
+def to_numpy(x: Any, dtype: Any) -> Array:
+    """A numpy array of a tensor (of any device, with or without a graph), an array or a list."""
+    x = x.detach().cpu() if hasattr(x, "detach") else x
+    return np.asarray(x, dtype=dtype)
+
+
+def _unit(x: Array) -> Array:
+    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-12)
+
+
+def _mesh_normals(points: Array, faces: Array) -> tuple[Array, float]:
+    """Area-weighted vertex normals and the mean edge length."""
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.zeros_like(points)
+    for i in range(3):
+        np.add.at(normals, faces[:, i], face_normals)
+    return _unit(normals), float(np.linalg.norm(b - a, axis=-1).mean())
+
+
+def _cloud_normals(points: Array, k: int = 12, chunk: int = 1024) -> tuple[Array, float]:
+    """PCA normals over the k nearest points, and the median distance to the fourth one."""
+    import torch
+
+    x = torch.from_numpy(points).float()
+    near = [torch.cdist(part, x).topk(min(k, len(x)), largest=False) for part in x.split(chunk)]
+    neighbours = x[torch.cat([part.indices for part in near])]
+    offset = neighbours - neighbours.mean(1, keepdim=True)
+    normals = torch.linalg.eigh(offset.mT @ offset).eigenvectors[..., 0]
+    spacing = torch.cat([part.values for part in near])[:, min(4, len(x) - 1)].median()
+    return normals.double().numpy(), float(spacing)

@@ -1,0 +1,153 @@
+"""Pictures by pyvista, off screen: no window, no X server."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from riemlayer.viz.drawing import (
+    BLACK,
+    BLUE,
+    CREAM,
+    ORANGE,
+    PLAIN,
+    Array,
+    Drawing,
+    View,
+    checkerboard,
+)
+
+VIEW_ANGLE = 30.0
+LIFT = 0.012
+"""Lines come this much nearer to the eye, in extents: the discs of a cloud must not bury them."""
+
+
+def write_png(path: str | Path, *drawings: Drawing, view: View, size: int = 640) -> Path:
+    """One picture of all drawings side by side, seen by one camera.
+
+    Args:
+        path: the file to write; it appears only when it is complete.
+        drawings: one or more.
+        view: the camera, see `viewpoint`.
+        size: height and width of each part, in pixels.
+
+    Returns:
+        The path.
+    """
+    import pyvista
+
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.png")
+    with pyvista.vtk_verbosity("off"):  # without a window VTK warns that there is none
+        plotter = _plot(drawings, view, size)
+        plotter.screenshot(temporary)
+        plotter.close()
+    os.replace(temporary, path)
+    return path
+
+
+def _plot(drawings: tuple[Drawing, ...], view: View, size: int):
+    import pyvista
+
+    plotter = pyvista.Plotter(
+        off_screen=True,
+        shape=(1, len(drawings)),
+        window_size=[size * len(drawings), size],
+        border=False,
+        theme=pyvista.themes.DocumentTheme(),
+    )
+    plotter.enable_anti_aliasing("ssaa")
+    for i, drawing in enumerate(drawings):
+        plotter.subplot(0, i)
+        _add_surface(plotter, drawing)
+        _add_paths(plotter, drawing, LIFT * view.extent * view.direction)
+        if drawing.title:
+            plotter.add_text(drawing.title, position="upper_edge", font_size=11, color="black")
+        _aim(plotter.camera, view)
+    return plotter
+
+
+def _add_surface(plotter, drawing: Drawing) -> None:
+    if drawing.faces is None:
+        _add_cloud(plotter, drawing)
+    elif drawing.log is None:
+        plotter.add_mesh(_mesh(drawing), color=PLAIN, smooth_shading=True)
+    else:
+        _add_tiled_mesh(plotter, drawing)
+
+
+def _mesh(drawing: Drawing):
+    import pyvista
+
+    mesh = pyvista.PolyData.from_regular_faces(drawing.points, drawing.faces)
+    mesh.point_data.active_normals = drawing.normals
+    return mesh
+
+
+def _add_tiled_mesh(plotter, drawing: Drawing) -> None:
+    """The part within the radius carries the tiles as a texture, cut exactly at the radius."""
+    import pyvista
+
+    mesh = _mesh(drawing)
+    mesh.active_texture_coordinates = drawing.log / (2 * drawing.period)
+    mesh["reach"] = np.linalg.norm(drawing.log, axis=1)
+    inside = mesh.clip_scalar(scalars="reach", invert=True, value=drawing.radius)
+    outside = mesh.clip_scalar(scalars="reach", invert=False, value=drawing.radius)
+    if outside.n_points:
+        plotter.add_mesh(outside, color=PLAIN, smooth_shading=True)
+    if inside.n_points:
+        tiles = np.kron([[0, 1], [1, 0]], np.ones((64, 64)))[..., None] > 0
+        image = np.where(tiles, CREAM, BLUE) * 255
+        texture = pyvista.Texture(image.round().astype(np.uint8))
+        texture.repeat, texture.mipmap = True, True
+        plotter.add_mesh(inside, texture=texture, smooth_shading=True)
+
+
+def _add_cloud(plotter, drawing: Drawing) -> None:
+    """Every point is a small disc in its tangent plane."""
+    import pyvista
+
+    cloud = pyvista.PolyData(drawing.points)
+    cloud["normal"] = drawing.normals
+    if drawing.log is None:
+        cloud["colour"] = np.broadcast_to(PLAIN, drawing.points.shape)
+    else:
+        cloud["colour"] = checkerboard(drawing.log, drawing.period, drawing.radius)
+    disc = pyvista.Disc(inner=0, outer=0.75 * drawing.spacing, normal=(1, 0, 0), c_res=10)
+    discs = cloud.glyph(orient="normal", scale=False, geom=disc)
+    plotter.add_mesh(discs, scalars="colour", rgb=True, lighting=True)
+
+
+def _add_paths(plotter, drawing: Drawing, lift: Array) -> None:
+    import pyvista
+
+    thick = 0.0035 * np.ptp(drawing.points, axis=0).max()
+    for paths, colour, width in (
+        (drawing.reference, BLACK, 0.6 * thick),
+        (drawing.paths, ORANGE, thick),
+    ):
+        if len(paths):
+            lines = pyvista.merge([pyvista.MultipleLines(path + lift) for path in paths])
+            plotter.add_mesh(lines.tube(radius=width), color=colour, smooth_shading=True)
+            _add_balls(plotter, np.stack([path[-1] for path in paths]) + lift, 2 * width, colour)
+    if drawing.p is not None:
+        _add_balls(plotter, drawing.p[None] + lift, 3 * thick, BLACK)
+
+
+def _add_balls(plotter, centres: Array, radius: float, colour: tuple[float, ...]) -> None:
+    import pyvista
+
+    ball = pyvista.Sphere(radius=radius, theta_resolution=16, phi_resolution=16)
+    balls = pyvista.PolyData(centres).glyph(orient=False, scale=False, geom=ball)
+    plotter.add_mesh(balls, color=colour, smooth_shading=True)
+
+
+def _aim(camera, view: View) -> None:
+    distance = view.extent / np.sin(np.radians(VIEW_ANGLE / 2))
+    camera.focal_point = view.centre
+    camera.position = view.centre + distance * view.direction
+    camera.up = view.up
+    camera.view_angle = VIEW_ANGLE
+    camera.clipping_range = (distance - 1.5 * view.extent, distance + 1.5 * view.extent)
