@@ -17,8 +17,8 @@ import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from benchmarks.evaluate import RADII, Shape, evaluate, summarise
-from riemlayer.baselines import Heat, Neural, Projection, TrueLog, Walking
+from benchmarks.evaluate import Shape, applies, evaluate, summarise
+from riemlayer.baselines import Heat, MeshHeat, MeshTracer, Neural, Projection, TrueLog, Walking
 
 VERSION = 1
 METHODS: dict[str, Callable[[], object]] = {
@@ -26,8 +26,11 @@ METHODS: dict[str, Callable[[], object]] = {
     "projection": Projection,
     "tracing": Walking,
     "floor": TrueLog,
+    "mesh-affine": MeshHeat,
+    "mesh-heat": lambda: MeshHeat("VectorHeat"),
+    "mesh-tracer": MeshTracer,
 }
-SECTIONS = tuple(f"r{r}{kind}" for kind in ("", "_tight") for r in RADII)
+PRINTED = ("r0.5", "r0.25", "r0.1", "r0.5_tight")
 COLUMNS = {
     "E_MDD": "mdd",
     "MDD<=1": "mdd_clip",
@@ -85,6 +88,8 @@ def run(
     for group, path in _progress(shapes):
         shape, fingerprint = Shape.load(path, sources), zlib.crc32(path.read_bytes())
         for name, method in methods.items():
+            if not applies(method, shape):
+                continue
             store = Cache(None) if isinstance(method, Neural) else cache
             key = f"{VERSION}|{method!r}|{sources}|{group}/{path.stem}|{fingerprint:08x}"
             row = store.get(key, lambda m=method, x=shape: _row_or_reason(m, x))
@@ -110,17 +115,19 @@ def group_mean(rows: list[dict]) -> dict:
 def format_table(results: dict, group: str) -> str:
     """One group as text: a block a section, a line a method."""
     lines = []
-    for section in SECTIONS:
+    for section in PRINTED:
         lines.append(f"{group}, {section}".ljust(26) + "".join(c.rjust(9) for c in COLUMNS))
-        if section == SECTIONS[0]:
+        if section == PRINTED[0]:
             lines[-1] += "".join(f"{t} ms".rjust(12) for t in TIMES) + "shapes".rjust(8)
         for name, result in results.items():
             mean = result["groups"][group]
+            if not mean["shapes"]:
+                continue
             line = "  " + name.ljust(24)
             line += "".join(
                 _number(mean.get(section, {}).get(k)).rjust(9) for k in COLUMNS.values()
             )
-            if section == SECTIONS[0]:
+            if section == PRINTED[0]:
                 times = (mean.get("time", {}).get(t) for t in TIMES)
                 line += "".join(_number(t and 1e3 * t, 1).rjust(12) for t in times)
                 line += str(mean["shapes"]).rjust(8)
@@ -137,7 +144,9 @@ def write_json(path: Path, value: object) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description="Every method on every prepared shape of a directory."
+    )
     parser.add_argument("directory", type=Path, help="holds <group>/<name>.npz")
     parser.add_argument("--groups", help="comma-separated; all")
     parser.add_argument("--methods", default="heat,projection,tracing,base,floor")

@@ -1,6 +1,6 @@
 """The paper's measures of quality: Eqs. (5), (6), E_MDD, (10)-(12), and ours beside them.
 
-Every function takes tensors (anything `torch.as_tensor` accepts) and returns a tensor.
+Every function takes tensors or numpy arrays and returns a tensor.
 Vertices V (n, 3), faces F (m, 3); `log` holds one tangent vector a vertex, (n, 2) in a frame
 or (n, 3) ambient: lengths and angles are the same in both. `valid` (n,) bool picks the vertices
 that count; a triangle or an edge counts when all of its vertices do.
@@ -10,14 +10,19 @@ No function returns NaN: what is undefined raises a ValueError that says so.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-Map = Callable[[Tensor, Tensor], Tensor]
+from riemlayer.checks import check_finite
+
+Values = Tensor | np.ndarray
+Map = Callable[[Any, Any], Any]
 
 
-def angle_error(vertices: Tensor, faces: Tensor, log: Tensor, valid: Tensor) -> Tensor:
+def angle_error(vertices: Values, faces: Values, log: Values, valid: Values) -> Tensor:
     """Eq. (5): mean |angle in space - angle in the tangent plane| over valid triangles, degrees.
 
     Degenerate: a corner with a side of zero length has angle 0, so a triangle that the log map
@@ -42,20 +47,17 @@ def angle_error(vertices: Tensor, faces: Tensor, log: Tensor, valid: Tensor) -> 
     vertices, faces, log = torch.as_tensor(vertices), torch.as_tensor(faces).long(), _space(log)
     faces = faces[torch.as_tensor(valid)[faces].all(-1)]
     _demand(len(faces) > 0, "valid leaves no triangle to measure; widen the mask or the radius")
-    _demand_finite(log[faces], "log")
+    check_finite("log", log[faces])
     return (_corner_angles(vertices[faces]) - _corner_angles(log[faces])).abs().mean().rad2deg()
 
 
 def distance_distortion(
-    vertices: Tensor, faces: Tensor, log: Tensor, valid: Tensor, clip: float | None = None
+    vertices: Values, faces: Values, log: Values, valid: Values, clip: float | None = None
 ) -> Tensor:
     """E_MDD (section 4): mean |L_3D / L_tan - 1| over valid edges; ours: each edge clipped.
 
     As printed the ratio has no upper bound and a few collapsed edges decide the mean; `clip=1`
-    counts such an edge as completely wrong and no more.
-
-    Degenerate: an edge that the log map collapses to zero costs infinity (or `clip`); an edge of
-    zero length that stays so costs 0, one that does not costs 1.
+    counts such an edge as completely wrong and no more. Degenerate edges: see `edge_distortion`.
 
     Args:
         vertices: (n, 3) positions.
@@ -70,22 +72,40 @@ def distance_distortion(
     Example:
         >>> V = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
         >>> valid = torch.tensor([True, True, False])
-        >>> log = torch.tensor([[0.0, 0], [0.5, 0], [0, 2]])
-        >>> distance_distortion(V, torch.tensor([[0, 1, 2]]), log, valid).item()  # |1 / 0.5 - 1|
-        1.0
+        >>> log = torch.tensor([[0.0, 0], [0.25, 0], [0, 2]])
+        >>> distance_distortion(V, torch.tensor([[0, 1, 2]]), log, valid).item()  # |1 / 0.25 - 1|
+        3.0
     """
-    vertices, log = torch.as_tensor(vertices), _space(log)
-    edges = _valid_edges(torch.as_tensor(faces).long(), torch.as_tensor(valid))
-    _demand(len(edges) > 0, "valid leaves no edge to measure; widen the mask or the radius")
-    _demand_finite(log[edges], "log")
-    length = (vertices[edges[:, 1]] - vertices[edges[:, 0]]).norm(dim=-1)
-    tangent = (log[edges[:, 1]] - log[edges[:, 0]]).norm(dim=-1)
-    both_zero = (length == 0) & (tangent == 0)
-    distortion = (length / torch.where(both_zero, 1, tangent) - 1).abs().masked_fill(both_zero, 0)
+    distortion = edge_distortion(vertices, faces, log, valid)
+    _demand(len(distortion) > 0, "valid leaves no edge to measure; widen the mask or the radius")
     return (distortion if clip is None else distortion.clamp(max=clip)).mean()
 
 
-def exp_error(q: Tensor, prediction: Tensor, valid: Tensor | None = None) -> Tensor:
+def edge_distortion(vertices: Values, faces: Values, log: Values, valid: Values) -> Tensor:
+    """|L_3D / L_tan - 1| of every valid edge (E,), the terms of E_MDD (section 4).
+
+    Degenerate: an edge that the log map collapses to zero costs infinity; an edge of zero length
+    that stays so costs 0, one that does not costs 1; no valid edge gives shape (0,).
+
+    Args:
+        vertices: (n, 3) positions.
+        faces: (m, 3) vertex indices.
+        log: (n, 2) or (n, 3) tangent vectors.
+        valid: (n,) bool.
+
+    Raises:
+        ValueError: `log` is not finite on a valid edge.
+    """
+    vertices, log = torch.as_tensor(vertices), _space(log)
+    edges = _valid_edges(torch.as_tensor(faces).long(), torch.as_tensor(valid))
+    check_finite("log", log[edges])
+    length = (vertices[edges[:, 1]] - vertices[edges[:, 0]]).norm(dim=-1)
+    tangent = (log[edges[:, 1]] - log[edges[:, 0]]).norm(dim=-1)
+    unchanged = length == tangent
+    return (length / torch.where(unchanged, 1, tangent) - 1).abs().masked_fill(unchanged, 0)
+
+
+def exp_error(q: Values, prediction: Values, valid: Values | None = None) -> Tensor:
     """Eq. (6): mean |q - prediction| over the valid end points.
 
     Args:
@@ -103,7 +123,7 @@ def exp_error(q: Tensor, prediction: Tensor, valid: Tensor | None = None) -> Ten
     return _mean_distance(q, prediction, valid)
 
 
-def log_end_error(v: Tensor, prediction: Tensor, valid: Tensor | None = None) -> Tensor:
+def log_end_error(v: Values, prediction: Values, valid: Values | None = None) -> Tensor:
     """Mean |Log_p(Exp_p(v)) - v|, the Log error at traced end points (ours).
 
     Unlike Eq. (5) and E_MDD a perfect method reaches 0 on every surface.
@@ -123,7 +143,7 @@ def log_end_error(v: Tensor, prediction: Tensor, valid: Tensor | None = None) ->
     return _mean_distance(v, prediction, valid)
 
 
-def mean_by_length(error: Tensor, length: Tensor, bounds: Tensor) -> tuple[Tensor, Tensor]:
+def mean_by_length(error: Values, length: Values, bounds: Values) -> tuple[Tensor, Tensor]:
     """Mean error in bins of the geodesic length (ours).
 
     Degenerate: an empty bin has mean 0 and count 0; read the counts.
@@ -145,13 +165,13 @@ def mean_by_length(error: Tensor, length: Tensor, bounds: Tensor) -> tuple[Tenso
         (tensor([0.2000, 0.0000]), tensor([2, 0]))
     """
     error, length, bounds = map(torch.as_tensor, (error, length, bounds))
-    _demand_finite(error[:, None], "error")
+    check_finite("error", error)
     inside = (bounds[:-1, None] <= length) & (length < bounds[1:, None])
     counts = inside.sum(-1)
     return torch.where(inside, error, 0).sum(-1) / counts.clamp_min(1), counts
 
 
-def zero_point_errors(exp: Map, log: Map, p: Tensor) -> tuple[Tensor, Tensor]:
+def zero_point_errors(exp: Map, log: Map, p: Values) -> tuple[Tensor, Tensor]:
     """Eq. (11): |Exp_p(0) - p| and |Log_p(p)| at one source.
 
     Args:
@@ -166,20 +186,20 @@ def zero_point_errors(exp: Map, log: Map, p: Tensor) -> tuple[Tensor, Tensor]:
     return exp_zero_error(exp, p), log_zero_error(log, p)
 
 
-def exp_zero_error(exp: Map, p: Tensor) -> Tensor:
+def exp_zero_error(exp: Map, p: Values) -> Tensor:
     """Eq. (11), left: |Exp_p(0) - p|; arguments as in `zero_point_errors`."""
     p = torch.as_tensor(p)
     return (torch.as_tensor(exp(p, p.new_zeros(1, 3)))[0] - p).norm()
 
 
-def log_zero_error(log: Map, p: Tensor) -> Tensor:
+def log_zero_error(log: Map, p: Values) -> Tensor:
     """Eq. (11), right: |Log_p(p)|; arguments as in `zero_point_errors`."""
     p = torch.as_tensor(p)
     return torch.as_tensor(log(p, p[None]))[0].norm()
 
 
 def differential_errors(
-    exp: Map, log: Map, p: Tensor, frame: Tensor, step: float = 0.02
+    exp: Map, log: Map, p: Values, frame: Values, step: float = 0.02
 ) -> tuple[Tensor, Tensor]:
     """Eqs. (10), (12): |d(Exp_p)_0 - I|_F and |d(Log_p)_p - I|_F, 2x2 in a tangent frame.
 
@@ -205,26 +225,26 @@ def differential_errors(
     )
 
 
-def exp_differential_error(exp: Map, p: Tensor, frame: Tensor, step: float = 0.02) -> Tensor:
+def exp_differential_error(exp: Map, p: Values, frame: Values, step: float = 0.02) -> Tensor:
     """Eq. (12), left: |d(Exp_p)_0 - I|_F; arguments as in `differential_errors`."""
     p, frame = torch.as_tensor(p), torch.as_tensor(frame)
     return _distance_to_identity(exp(p, step * torch.cat([frame.T, -frame.T])), frame, step)
 
 
-def log_differential_error(log: Map, p: Tensor, frame: Tensor, step: float = 0.02) -> Tensor:
+def log_differential_error(log: Map, p: Values, frame: Values, step: float = 0.02) -> Tensor:
     """Eq. (12), right: |d(Log_p)_p - I|_F; arguments as in `differential_errors`."""
     p, frame = torch.as_tensor(p), torch.as_tensor(frame)
     return _distance_to_identity(log(p, p + step * torch.cat([frame.T, -frame.T])), frame, step)
 
 
-def _distance_to_identity(values: Tensor, frame: Tensor, step: float) -> Tensor:
+def _distance_to_identity(values: Values, frame: Tensor, step: float) -> Tensor:
     """|D - I|_F of the 2x2 central difference D of the values at +axes, -axes (4, 3)."""
     values = torch.as_tensor(values, dtype=frame.dtype)
     differential = frame.T @ ((values[:2] - values[2:]) / (2 * step)).T
     return (differential - torch.eye(2, dtype=frame.dtype, device=frame.device)).norm()
 
 
-def _mean_distance(truth: Tensor, prediction: Tensor, valid: Tensor | None) -> Tensor:
+def _mean_distance(truth: Values, prediction: Values, valid: Values | None) -> Tensor:
     """Mean |truth - prediction| over valid rows."""
     truth, prediction = torch.as_tensor(truth), torch.as_tensor(prediction)
     _demand(
@@ -234,12 +254,13 @@ def _mean_distance(truth: Tensor, prediction: Tensor, valid: Tensor | None) -> T
     if valid is not None:
         truth, prediction = truth[torch.as_tensor(valid)], prediction[torch.as_tensor(valid)]
     _demand(truth.numel() > 0, "valid leaves no row to measure; widen the mask or the radius")
-    _demand_finite(prediction, "prediction")
+    check_finite("prediction", prediction)
     return (truth - prediction).norm(dim=-1).mean()
 
 
 def _valid_edges(faces: Tensor, valid: Tensor) -> Tensor:
     """Undirected edges (E, 2) with two valid ends, each once."""
+    faces = faces[valid[faces].sum(-1) >= 2]
     edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     low, high = edges[valid[edges].all(-1)].sort(dim=-1).values.unbind(-1)
     keys = torch.unique(low * len(valid) + high)
@@ -252,7 +273,7 @@ def _corner_angles(corners: Tensor) -> Tensor:
     return torch.atan2(torch.linalg.cross(ahead, behind).norm(dim=-1), (ahead * behind).sum(-1))
 
 
-def _space(log: Tensor) -> Tensor:
+def _space(log: Values) -> Tensor:
     """Tangent vectors of 2 coordinates padded to 3."""
     log = torch.as_tensor(log)
     _demand(
@@ -260,11 +281,6 @@ def _space(log: Tensor) -> Tensor:
         f"log must have shape (n, 2) or (n, 3), got {tuple(log.shape)}",
     )
     return torch.nn.functional.pad(log, (0, 3 - log.shape[1]))
-
-
-def _demand_finite(x: Tensor, name: str) -> None:
-    bad = int((~torch.isfinite(x)).any(-1).sum())
-    _demand(bad == 0, f"{name} must be finite where valid, got {bad} rows with NaN or infinity")
 
 
 def _demand(holds: bool, message: str) -> None:

@@ -3,8 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+
+from riemlayer.checks import check_points
 
 Array = np.ndarray
+
+
+def checked_cloud(points: Array) -> Array:
+    """The cloud (N, 3) as a float64 array of its own.
+
+    Raises:
+        TypeError, ValueError: `points` is no cloud, as `riemlayer.checks.check_points` says.
+    """
+    cloud = torch.as_tensor(points)
+    check_points(cloud)
+    return cloud.detach().cpu().numpy().astype(np.float64)
 
 
 def pca_normals(points: Array, tree, queries: Array, k: int) -> Array:
@@ -14,7 +28,7 @@ def pca_normals(points: Array, tree, queries: Array, k: int) -> Array:
 
     Args:
         points: (N, 3) cloud.
-        tree: its `scipy.spatial.cKDTree`.
+        tree: its `scipy.spatial.KDTree`.
         queries: (K, 3) positions.
         k: number of neighbours.
     """
@@ -37,7 +51,7 @@ def carry_over(points: Array, values: Array, tree, queries: Array, k: int) -> Ar
     Args:
         points: (N, 3) cloud.
         values: (N, C) values at its points.
-        tree: its `scipy.spatial.cKDTree`.
+        tree: its `scipy.spatial.KDTree`.
         queries: (K, 3) positions.
         k: number of neighbours.
     """

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from riemlayer.baselines.cloud import Array, carry_over
+from riemlayer.baselines.cloud import Array, carry_over, checked_cloud
 
 
 @dataclass
@@ -25,19 +25,22 @@ class Heat:
     k: int = 12
 
     def prepare(self, points: Array) -> None:
-        """Build the solver: local triangulations, Laplacians and tangent frames."""
+        """Build the solver and solve once, since it factorises its matrices at the first solve."""
         import potpourri3d
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
-        self._points = np.ascontiguousarray(points, dtype=np.float64)
-        self._tree = cKDTree(self._points)
+        self._points = checked_cloud(points)
+        self._tree = KDTree(self._points)
         self._solver = potpourri3d.PointCloudHeatSolver(self._points, self.t_coef)
         self._frames = self._solver.get_tangent_frames()[:2]
+        self._solver.compute_log_map(0)
+        self._solved = -1
 
     def log(self, p: Array, q: Array) -> Array:
-        """Log_p(q) by one vector heat solve over the whole cloud."""
+        """Log_p(q) by one vector heat solve over the whole cloud, kept while p stays the same."""
         source = int(self._tree.query(np.asarray(p))[1])
-        local = self._solver.compute_log_map(source)
-        axes = np.stack([axis[source] for axis in self._frames])
-        values = np.asarray(local) @ axes
-        return carry_over(self._points, values, self._tree, np.asarray(q, np.float64), self.k)
+        if source != self._solved:
+            axes = np.stack([axis[source] for axis in self._frames])
+            self._values = np.asarray(self._solver.compute_log_map(source)) @ axes
+            self._solved = source
+        return carry_over(self._points, self._values, self._tree, np.asarray(q, float), self.k)

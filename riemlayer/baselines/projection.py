@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from riemlayer.baselines.cloud import Array, pca_normals
+from riemlayer.baselines.cloud import Array, checked_cloud, pca_normals
 
 
 @dataclass
@@ -28,15 +28,15 @@ class Projection:
 
     def prepare(self, points: Array) -> None:
         """Build the search tree of the cloud (N, 3)."""
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
-        self._points = np.asarray(points)
-        self._tree = cKDTree(self._points)
+        self._points = checked_cloud(points)
+        self._tree = KDTree(self._points)
 
     def log(self, p: Array, q: Array) -> Array:
         """Log_p(q) = (I - n n^T)(q - p), n the PCA normal at p."""
         p, offset = np.asarray(p), np.asarray(q) - np.asarray(p)
-        normal = pca_normals(self._points, self._tree, p[None], self.k)[0].astype(offset.dtype)
+        normal = pca_normals(self._points, self._tree, p[None], self.k)[0]
         return offset - (offset @ normal)[:, None] * normal
 
     def exp(self, p: Array, v: Array) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from riemlayer.baselines.cloud import Array, mean_spacing, pca_normals
+from riemlayer.baselines.cloud import Array, checked_cloud, mean_spacing, pca_normals
 
 
 @dataclass
@@ -30,24 +30,24 @@ class Walking:
 
     k: int = 16
     step: float = 0.5
-    spacing_k: int = 1
+    spacing_k: int = 6
 
     def prepare(self, points: Array) -> None:
         """Build the search tree, the step length and every point's PCA normal."""
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
-        self._points = np.asarray(points)
-        self._tree = cKDTree(self._points)
+        self._points = checked_cloud(points)
+        self._tree = KDTree(self._points)
         self._step = self.step * mean_spacing(self._points, self._tree, self.spacing_k)
         self._normals = pca_normals(self._points, self._tree, self._points, self.k)
 
     def exp(self, p: Array, v: Array) -> Array:
         """Exp_p(v) by walking |v| along the cloud."""
-        v = np.asarray(v)
+        v = np.asarray(v, np.float64)
         remaining = np.linalg.norm(v, axis=-1)
         direction = v / np.maximum(remaining, np.finfo(v.dtype).tiny)[:, None]
-        position = np.broadcast_to(np.asarray(p), v.shape).copy()
-        moving = np.flatnonzero(remaining > 0)
+        position = np.broadcast_to(np.asarray(p, np.float64), v.shape).copy()
+        moving = np.flatnonzero(remaining != 0)
         while len(moving):
             length = np.minimum(remaining[moving], self._step)
             position[moving], direction[moving] = self._advance(
