@@ -162,8 +162,7 @@ def height_field(rng: Rng, n: int = 56) -> tuple[np.ndarray, np.ndarray]:
         k = rng.normal(size=2) * rng.uniform(0.6, 4)
         z += np.sin(k[0] * x + k[1] * y + rng.uniform(0, 6.3)) / (0.6 + np.linalg.norm(k))
     if chance(rng, 0.3):
-        steps = rng.uniform(0.1, 0.3)
-        z = np.where(chance(rng, 0.5), np.abs(z), np.round(z / steps) * steps)
+        z = np.abs(z) if chance(rng, 0.5) else np.tanh(z * rng.uniform(2, 6))
     return np.stack([x, y], -1), z * rng.uniform(0.1, 0.45)
 
 

@@ -4,7 +4,17 @@ import zlib
 
 import numpy as np
 
-from riemlayer.data.procedural import abstract, animals, figures, furniture, vessels
+from riemlayer.data.procedural import (
+    abstract,
+    animals,
+    figures,
+    furniture,
+    gadgets,
+    structures,
+    tools,
+    vehicles,
+    vessels,
+)
 from riemlayer.data.procedural.finish import Shape, finish
 from riemlayer.data.procedural.solids import chance
 
@@ -16,6 +26,26 @@ BUILDERS = {
     "sofa": furniture.sofa,
     "furniture_soup": furniture.furniture_soup,
     "vessel": vessels.vessel,
+    "car": vehicles.car,
+    "train": vehicles.train,
+    "plane": vehicles.plane,
+    "boat": vehicles.boat,
+    "two_wheeler": vehicles.two_wheeler,
+    "gadget": gadgets.gadget,
+    "appliance": gadgets.appliance,
+    "shoe": gadgets.shoe,
+    "tray": gadgets.tray,
+    "tool": tools.tool,
+    "pliers": tools.pliers,
+    "stapler": tools.stapler,
+    "cutlery": tools.cutlery,
+    "fastener": tools.fastener,
+    "building": structures.building,
+    "bridge": structures.bridge,
+    "headphones": structures.headphones,
+    "spectacles": structures.spectacles,
+    "rack": structures.rack,
+    "signpost": structures.signpost,
     "csg": abstract.csg,
     "bracket": abstract.bracket,
     "extrusion": abstract.extrusion,

@@ -257,5 +257,5 @@ def bust(rng: Rng) -> Sculpture:
         if chance(rng, 0.6):
             clay.ball((0, 0.2, -1.75), (rng.uniform(0.8, 1.5), 0.5, 0.45))
     if chance(rng, 0.5):
-        clay.roughen(rng, rng.uniform(0.01, 0.035), rng.uniform(0.15, 0.6))
+        clay.roughen(rng, rng.uniform(0.005, 0.02), rng.uniform(0.15, 0.6))
     return clay

@@ -118,7 +118,8 @@ class Sculpture:
         self._add(field, centre - reach, centre + reach, blend, removes)
 
     def roughen(self, rng: Rng, amplitude: float, wavelength: float, waves: int = 6) -> None:
-        """Displace the surface by a sum of random plane waves."""
+        """Displace the surface by a sum of random plane waves, too flat to make needles."""
+        amplitude = min(amplitude, 0.06 * wavelength)
         for _ in range(waves):
             direction = rng.normal(size=3)
             k = 2 * np.pi / (wavelength * rng.uniform(0.6, 1.7)) / np.linalg.norm(direction)

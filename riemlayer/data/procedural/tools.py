@@ -1,0 +1,307 @@
+"""Tools and fasteners: hammers, wrenches, pliers, cutlery, staplers, screws, nuts, gears."""
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from riemlayer.data.procedural.solids import (
+    Rng,
+    any_box,
+    ball,
+    box,
+    chance,
+    cut,
+    extrude,
+    hull,
+    move,
+    pick,
+    revolve,
+    rod,
+    segments,
+    smooth_curve,
+    soft_box,
+    tube,
+)
+
+Parts = list[Manifold]
+
+
+def grip(rng: Rng, length: float) -> Manifold:
+    """A handle along -x from the origin: bent flat tube, turned, or a box, with bulges."""
+    style = pick(rng, "tube", "turned", "box")
+    r = rng.uniform(0.06, 0.13)
+    if style == "box":
+        return any_box(rng, (length, r * 2, r * rng.uniform(1, 2)), (-length / 2, 0, 0), 0.04)
+    knots = rng.uniform(0.65, 1.2, 6) * r
+    if style == "turned":
+        profile = smooth_curve(np.c_[knots, np.linspace(0, length, 6), 0 * knots], 30)[:, :2]
+        profile[:, 0] = np.maximum(profile[:, 0], 0.04)
+        solid = revolve(np.r_[[[0, 0]], profile, [[0, profile[-1, 1]]]], segments(rng))
+        return solid.rotate((0, -90, 0))
+    t = np.linspace(0, 1, 30)
+    path = np.stack([-length * t, 0 * t, rng.uniform(-0.25, 0.25) * length * t**2], 1)
+    waves = 1 + rng.uniform(0, 0.15) * np.sin(2 * np.pi * rng.uniform(2, 6) * t)
+    radii = np.maximum(np.interp(t, np.linspace(0, 1, 6), knots) * waves, 0.04)
+    return tube(path, radii, 14, flat=rng.uniform(0.6, 1.0))
+
+
+def tool(rng: Rng) -> Parts:
+    """A hammer, axe, wrench, screwdriver, brush, spatula, saw or mallet on a handle."""
+    length = rng.uniform(1.0, 2.0)
+    parts = [grip(rng, length)]
+    style = pick(rng, "hammer", "claw", "axe", "wrench", "driver", "brush", "pan", "blade", "drill")
+    n = segments(rng)
+    if style in ("hammer", "claw"):
+        r, wide = rng.uniform(0.12, 0.25), rng.uniform(0.5, 0.9)
+        face = rod(r, wide * 0.5, (0, 0, wide * 0.25), top=r * rng.uniform(0.8, 1.2), sides=n)
+        parts.append(face if style == "claw" else rod(r, wide, sides=n))
+        if style == "claw":
+            for s in (-1, 1):
+                path = smooth_curve(
+                    [(0, s * 0.05, 0), (0, s * 0.09, -0.3), (-0.2, s * 0.14, -0.55)], 20
+                )
+                parts.append(tube(path, np.linspace(0.1, 0.045, 20), 12))
+        else:
+            parts.append(any_box(rng, (r * 1.6, r * 1.6, wide * 0.4)))
+    elif style == "axe":
+        edge = rng.uniform(0.3, 0.6)
+        parts.append(
+            hull(box((0.25, 0.2, 0.2)), box((edge, 0.05, 0.02), (0, 0, rng.uniform(0.4, 0.7))))
+        )
+    elif style == "wrench":
+        parts += spanner(rng, n, length)
+    elif style == "driver":
+        r, long = rng.uniform(0.05, 0.08), rng.uniform(0.5, 1.3)
+        parts += [rod(r, long, (long / 2 - 0.05, 0, 0), "x", sides=n)]
+        parts += [box((0.2, 0.05, 3 * r), (long, 0, 0)), rod(0.14, 0.1, axis="x", sides=n)]
+    elif style == "brush":
+        parts.append(any_box(rng, (0.5, 0.12, 0.3), (0.2, 0, 0)))
+        pins = np.stack(
+            np.meshgrid(np.linspace(0, 0.4, int(rng.integers(3, 7))), [-0.1, 0, 0.1]), -1
+        )
+        parts += [rod(0.035, 0.35, (x, 0.15, z), "y", sides=8) for x, z in pins.reshape(-1, 2)]
+    elif style == "pan":
+        r, tall, wall = rng.uniform(0.35, 0.6), rng.uniform(0.08, 0.3), 0.06
+        pan = rod(r * 0.85, tall, top=r, sides=n) - rod(
+            r * 0.85 - wall, tall, (0, 0, wall), top=r - wall, sides=n
+        )
+        parts.append(move(pan, r * 0.85, 0, 0))
+    elif style == "blade":
+        long, deep = rng.uniform(0.7, 1.5), rng.uniform(0.15, 0.45)
+        outline = np.array(
+            [
+                (-0.1, -deep / 2),
+                (long * 0.9, -deep / 2),
+                (long, rng.uniform(-0.4, 0.4) * deep),
+                (long * 0.8, deep / 2),
+                (-0.1, deep / 2),
+            ]
+        )
+        blade = extrude(outline, 0.06).rotate((90, 0, 0))
+        if chance(rng, 0.3):
+            teeth = np.linspace(0.1, 0.8, 9) * long
+            blade = cut(
+                blade, [box((0.06, 1, 0.12), (x, 0, -deep / 2)).rotate((0, 0, 0)) for x in teeth]
+            )
+        parts.append(blade)
+    else:
+        parts = [part.rotate((0, -rng.uniform(60, 100), 0)) for part in parts]
+        long = rng.uniform(0.6, 1.0)
+        parts += [
+            rod(0.2, long, (0.1, 0, 0.05), "x", sides=n),
+            rod(0.12, 0.3, (long / 2 + 0.2, 0, 0.05), "x", top=0.08, sides=n),
+        ]
+        parts += [
+            rod(0.04, 0.4, (long / 2 + 0.4, 0, 0.05), "x", sides=10),
+            any_box(rng, (0.5, 0.3, 0.2), (-0.25, 0, -0.95 * length)),
+        ]
+    return parts
+
+
+def spanner(rng: Rng, n: int, length: float) -> Parts:
+    """Open or ring jaws at one or both ends of a handle."""
+    r, thick = rng.uniform(0.2, 0.32), rng.uniform(0.1, 0.18)
+    parts = []
+    for x in pick(rng, (0.1,), (0.1, -length - 0.1)):
+        jaw = rod(r, thick, axis="y", sides=max(n, 16))
+        if chance(rng, 0.6):
+            gap = box((r * 1.6, 1, r * 0.8), (r * 0.9, 0, 0)).rotate((0, rng.uniform(-25, 25), 0))
+            jaw -= gap if x > 0 else gap.mirror((1, 0, 0))
+        else:
+            jaw -= rod(r * 0.6, 1, axis="y", sides=pick(rng, 6, 12, 30))
+        parts.append(move(jaw, x + np.sign(x) * r * 0.7, 0, 0))
+    return parts
+
+
+def pliers(rng: Rng) -> Parts:
+    """Pliers, scissors, tongs, clothes peg: two crossed curved bars on a pivot."""
+    spread, thick = rng.uniform(0.15, 0.5), rng.uniform(0.05, 0.09)
+    long, jaw = rng.uniform(0.9, 1.6), rng.uniform(0.4, 1.1)
+    parts, loops = [rod(0.13, 0.26, sides=segments(rng))], chance(rng, 0.5)
+    for s in (-1, 1):
+        path = [
+            (-long, s * spread, 0),
+            (-long * 0.5, s * spread * 0.9, 0),
+            (0, -s * 0.04, s * 0.05),
+        ]
+        parts.append(tube(smooth_curve([*path, (0.2, -s * 0.08, s * 0.03)], 30), thick, 10))
+        tip = np.array([jaw, -s * rng.uniform(0.03, 0.15), 0])
+        parts.append(hull(box((0.1, 0.14, 0.14), (0.15, -s * 0.1, s * 0.03)), ball(0.04, tip, 10)))
+        if loops:
+            t = np.arange(28) * 2 * np.pi / 28
+            at = np.array([-long - 0.18, s * (spread + 0.02), 0])
+            parts.append(
+                tube(
+                    at + 0.22 * np.stack([1.1 * np.cos(t), np.sin(t), 0 * t], 1),
+                    thick * 0.9,
+                    10,
+                    True,
+                )
+            )
+    return parts
+
+
+def stapler(rng: Rng) -> Parts:
+    """Hinged bars: a stapler, punch, clamp, press or laptop."""
+    long, wide = rng.uniform(1.2, 2.0), rng.uniform(0.25, 1.2)
+    base = any_box(rng, (long, wide, rng.uniform(0.06, 0.15)), edge=0.05)
+    top = any_box(
+        rng,
+        (long * rng.uniform(0.8, 1), wide * rng.uniform(0.7, 1), rng.uniform(0.06, 0.3)),
+        edge=0.1,
+    )
+    low, high = np.reshape(top.bounding_box(), (2, 3))
+    top = top.translate((-low[0], 0, -low[2])).rotate((0, -rng.uniform(3, 100), 0))
+    hinge = rod(0.14, wide * 0.9, (-long / 2 + 0.12, 0, 0.08), "y", sides=segments(rng))
+    parts = [base, top.translate((-long / 2 + 0.1, 0, 0.06)), hinge]
+    if chance(rng, 0.5):
+        parts.append(any_box(rng, (0.3, wide * 0.6, 0.25), (long * 0.35, 0, 0.05)))
+    if chance(rng, 0.3):
+        loop = smooth_curve([(0, -0.12, 0), (0.3, -0.14, 0), (0.3, 0.14, 0), (0, 0.12, 0)], 24)
+        parts.append(move(tube(loop, 0.045, 8), long / 2 - 0.05, 0, 0))
+    return parts
+
+
+def cutlery(rng: Rng) -> Parts:
+    """A spoon, fork, ladle, comb, rake or key: a thin shaped plate on a stem."""
+    stem, r = rng.uniform(0.8, 1.6), rng.uniform(0.045, 0.07)
+    t = np.linspace(0, 1, 24)
+    path = np.stack([-stem * t, 0 * t, rng.uniform(-0.2, 0.2) * np.sin(np.pi * t)], 1)
+    parts = [
+        tube(
+            path,
+            np.interp(t, [0, 0.6, 1], [r, r, r * rng.uniform(1, 2.2)]),
+            10,
+            flat=rng.uniform(1, 2.0),
+        )
+    ]
+    style = pick(rng, "spoon", "fork", "comb", "key")
+    if style == "spoon":
+        size = rng.uniform(0.2, 0.5, 3) * (1.2, 1, 0.7)
+        bowl = ball(size, (size[0] * 0.85, 0, 0)) - ball(size - 0.06, (size[0] * 0.85, 0, 0.02))
+        parts.append(bowl - box((3, 3, 1), (0, 0, 0.5 + 0.06)))
+    elif style == "key":
+        parts.append(move(cut(rod(0.3, 0.1), [rod(0.18, 1, (0.03, 0, 0))]), 0.25, 0, 0))
+        parts += [
+            box((0.08, rng.uniform(0.15, 0.4), 0.09), (-x, 0.12, 0))
+            for x in rng.uniform(0.6, 1, 4) * stem
+        ]
+    else:
+        count, long = int(rng.integers(3, 8)), rng.uniform(0.3, 0.7)
+        wide = 0.14 * count
+        parts.append(soft_box((0.25, wide, 0.1), (0.1, 0, 0), 0.04))
+        y = (np.arange(count) + 0.5 - count / 2) * 0.14
+        parts += [box((long, 0.07, 0.07), (0.2 + long / 2, v, 0)) for v in y]
+    return parts
+
+
+def fastener(rng: Rng) -> Parts:
+    """A threaded screw, nut, wing nut, washer, gear, pulley, hinge or flange."""
+    style = pick(rng, "screw", "screw", "nut", "wing", "gear", "pulley")
+    n = int(rng.integers(28, 48))
+    if style == "screw":
+        return screw(rng, n)
+    r, tall = rng.uniform(0.4, 0.8), rng.uniform(0.25, 0.8)
+    bore = rod(r * rng.uniform(0.4, 0.65), 5, sides=n)
+    if style == "nut":
+        return [
+            rod(r, tall, sides=pick(rng, 4, 6, 6, 8, n))
+            + rod(r * 1.3, 0.1, (0, 0, -tall / 2), sides=n)
+            - bore
+        ]
+    if style == "wing":
+        body = rod(r * 0.8, tall, top=r * 0.65, sides=n)
+        for s in (-1, 1):
+            path = smooth_curve(
+                [
+                    (0, 0, 0),
+                    (s * 0.9 * r, 0, 0.1),
+                    (s * rng.uniform(1.3, 2.2) * r, 0, rng.uniform(0.3, 1)),
+                ],
+                20,
+            )
+            body += tube(path, np.linspace(0.2, 0.34, 20) * r, 14, flat=rng.uniform(0.4, 2.2))
+        return [body - bore]
+    if style == "gear":
+        k = int(rng.integers(8, 22))
+        angle = (np.repeat(np.arange(2 * k), 2) + np.tile([-0.36, 0.36], 2 * k)) * np.pi / k
+        radius = np.repeat(np.tile([1.0, 1 - 4 / k / 1.6], k), 2) * 0.9
+        wheel = CrossSection([radius[:, None] * np.c_[np.cos(angle), np.sin(angle)]])
+        spokes, twist = int(rng.integers(0, 6)), rng.uniform(-25, 25) * chance(rng, 0.4)
+        solid = extrude(wheel, tall * 0.6, n_divisions=10, twist_degrees=twist)
+        for i in range(spokes if k > 11 else 0):
+            solid -= rod(
+                0.12,
+                3,
+                (0.42 * np.cos(i * 6.283 / spokes), 0.42 * np.sin(i * 6.283 / spokes), 0),
+                sides=16,
+            )
+        return [solid + rod(0.25, tall, sides=n) - rod(0.14, 3, sides=n)]
+    profile = np.array(
+        [
+            (0.2, 0),
+            (r, 0),
+            (r, 0.1),
+            (r * 0.7, 0.25),
+            (r * 0.7, 0.4),
+            (r, 0.55),
+            (r, 0.65),
+            (0.2, 0.65),
+        ]
+    )
+    flange = revolve(profile * (1, rng.uniform(0.7, 2)), n)
+    holes = int(rng.integers(0, 7))
+    tools = [
+        rod(0.07, 9, (0.85 * r * np.cos(a), 0.85 * r * np.sin(a), 0), sides=12)
+        for a in np.arange(holes) * 6.283 / max(holes, 1)
+    ]
+    return [cut(flange, tools if r > 0.5 else [])]
+
+
+def screw(rng: Rng, n: int) -> Parts:
+    """A screw: an off-centre section twisted along z makes the thread."""
+    r, long, turns = rng.uniform(0.16, 0.3), rng.uniform(0.8, 2.0), rng.uniform(3, 7)
+    section = CrossSection.circle(r, n).translate((rng.uniform(0.12, 0.25) * r, 0))
+    tip = rng.uniform(0.5, 1.0)
+    steps = int(turns * 14)
+    shaft = extrude(
+        section, long, n_divisions=steps, twist_degrees=360 * turns, scale_top=(tip, tip)
+    )
+    head = pick(rng, "hex", "dome", "flat", "ring")
+    wide, tall = r * rng.uniform(1.6, 2.4), rng.uniform(0.12, 0.35)
+    if head == "ring":
+        t = np.arange(32) * np.pi / 16
+        eye = np.stack([wide * np.cos(t), 0 * t, wide * np.sin(t)], 1)
+        return [shaft, move(tube(eye, r * 0.6, 12, True), 0, 0, -long / 2 - wide)]
+    if head == "dome":
+        cap = ball((wide, wide, tall * 1.3), sides=n) - box((4, 4, 4), (0, 0, 2))
+    else:
+        cap = rod(
+            wide,
+            tall,
+            (0, 0, -tall / 2),
+            sides=6 if head == "hex" else n,
+            top=wide if head == "hex" else r,
+        )
+    if chance(rng, 0.6):
+        cap -= box((3, 0.1, tall), (0, 0, -1.3 * tall if head == "dome" else -tall))
+    return [shaft, move(cap, 0, 0, -long / 2 + 0.02)]

@@ -1,0 +1,370 @@
+"""Vehicles: cars and trucks, trains, planes, boats, two-wheelers. x is forward, z up."""
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from riemlayer.data.procedural.solids import (
+    Rng,
+    any_box,
+    ball,
+    box,
+    chance,
+    cut,
+    extrude,
+    hull,
+    move,
+    pick,
+    revolve,
+    rod,
+    segments,
+    smooth_curve,
+    soft_box,
+    strut,
+    tube,
+    union,
+)
+
+Parts = list[Manifold]
+
+
+def wheel(rng: Rng, radius: float, width: float, sides: int) -> Manifold:
+    """A wheel about the y axis: a tyre with a sunk or raised hub."""
+    tyre = rod(radius, width, axis="y", sides=sides)
+    if chance(rng, 0.4):
+        tyre = move(revolve(rounded(radius, width), max(sides, 12)), 0, 0, -width / 2).rotate(
+            (90, 0, 0)
+        )
+    style = pick(rng, "plain", "hub", "dish")
+    if style == "hub":
+        return tyre + rod(radius * 0.4, width * 1.3, axis="y", sides=sides)
+    if style == "dish":
+        dish = rod(radius * 0.65, width * 0.4, axis="y", sides=sides)
+        return tyre - move(dish, 0, width / 2, 0) - move(dish, 0, -width / 2, 0)
+    return tyre
+
+
+def rounded(radius: float, width: float) -> np.ndarray:
+    """The half section (n, 2) of a disc with round shoulders."""
+    t = np.linspace(-np.pi / 2, np.pi / 2, 9)
+    r = 0.35 * width
+    rim = np.c_[radius - r + r * np.cos(t), width / 2 + (width / 2) * np.sin(t)]
+    return np.r_[[[0, 0]], rim, [[0, width]]]
+
+
+def wheels(rng: Rng, at, track: float, radius: float) -> Parts:
+    """Pairs of wheels at stations along x, with axles."""
+    width, n, parts = rng.uniform(0.12, 0.3), segments(rng), []
+    for x in at:
+        parts.append(rod(radius * 0.25, track, (x, 0, radius), "y", sides=12))
+        parts += [move(wheel(rng, radius, width, n), x, s * track / 2, radius) for s in (-1, 1)]
+    return parts
+
+
+def cabin(rng: Rng, length: float, width: float, height: float) -> Manifold:
+    """A car's upper body: an extruded or tapered side view."""
+    lean = rng.uniform(0, 0.35, 2) * length
+    side = np.array(
+        [
+            (-length / 2, 0),
+            (length / 2, 0),
+            (length / 2 - lean[0], height),
+            (-length / 2 + lean[1], height),
+        ]
+    )
+    base = extrude(side, width).rotate((90, 0, 0))
+    low, high = np.reshape(base.bounding_box(), (2, 3))
+    top = box(
+        (length - lean.sum(), width * rng.uniform(0.7, 1), 0.02), (high[0] + low[0], 0, height)
+    )
+    return (
+        hull(base.scale((1, 1, 0.1)), move(top, (lean[1] - lean[0]) / 2))
+        if chance(rng, 0.6)
+        else base
+    )
+
+
+def car(rng: Rng) -> Parts:
+    """A car, van, bus, pick-up, truck or toy."""
+    length, width = rng.uniform(1.6, 3.0), rng.uniform(0.8, 1.1)
+    radius, body = rng.uniform(0.17, 0.34), rng.uniform(0.22, 0.5)
+    base = radius * rng.uniform(0.6, 1.1)
+    hood = any_box(rng, (length, width, body), (0, 0, base + body / 2), rng.uniform(0.04, 0.15))
+    parts = []
+    style = pick(rng, "car", "car", "van", "truck", "pickup", "open")
+    top = base + body - 0.02
+    if style in ("car", "van"):
+        share = rng.uniform(0.45, 0.65) if style == "car" else rng.uniform(0.75, 0.98)
+        roof = cabin(
+            rng,
+            length * share,
+            width * 0.95,
+            rng.uniform(0.25, 0.45) * (2 if style == "van" else 1),
+        )
+        parts.append(move(windows(rng, roof), rng.uniform(-0.15, 0.1) * length, 0, top))
+    elif style == "truck":
+        cab = any_box(rng, (length * 0.25, width, rng.uniform(0.4, 0.8)), edge=0.08)
+        parts.append(move(cab, length * 0.36, 0, top + 0.2))
+        size = (
+            length * rng.uniform(0.5, 0.68),
+            width * rng.uniform(0.9, 1.15),
+            rng.uniform(0.3, 1.0),
+        )
+        load = (
+            rod(size[1] / 2, size[0], axis="x", sides=segments(rng))
+            if chance(rng, 0.3)
+            else any_box(rng, size)
+        )
+        parts.append(move(load, -length * 0.14, 0, top + size[2] / 2))
+    elif style == "pickup":
+        parts.append(move(cabin(rng, length * 0.35, width * 0.95, 0.4), length * 0.1, 0, top))
+        hood -= box((length * 0.35, width * 0.8, body), (-length * 0.28, 0, base + body * 0.8))
+    else:
+        hood -= box((length * 0.4, width * 0.75, body), (-0.05 * length, 0, base + body * 0.75))
+        parts += [
+            soft_box((0.15, width * 0.3, 0.4), (-0.15 * length, s * 0.2, top), 0.06)
+            for s in (-1, 1)
+        ]
+    axles = np.array([-0.32, 0.32]) * length
+    if style == "truck" and chance(rng, 0.5):
+        axles = np.array([-0.36, -0.2, 0.34]) * length
+    if chance(rng, 0.5):
+        arches = [
+            rod(radius * 1.2, width * 0.35, (x, s * width / 2, radius), "y")
+            for x in axles
+            for s in (-1, 1)
+        ]
+        hood = cut(hood, arches)
+    parts = [hood, *parts, *wheels(rng, axles, width * rng.uniform(0.8, 1.0), radius)]
+    for s in (-1, 1):
+        if chance(rng, 0.6):
+            parts.append(
+                rod(0.08, 0.08, (length / 2, s * width * 0.33, base + body * 0.6), "x", sides=16)
+            )
+        if chance(rng, 0.4):
+            parts.append(
+                any_box(rng, (0.06, 0.16, 0.1), (length * 0.18, s * (width / 2 + 0.05), top + 0.02))
+            )
+    for x in (-1, 1):
+        if chance(rng, 0.6):
+            parts.append(any_box(rng, (0.12, width * 1.02, 0.1), (x * length / 2, 0, base + 0.06)))
+    if chance(rng, 0.2):
+        parts.append(box((0.25, width * 1.1, 0.05), (-length / 2 + 0.1, 0, top + 0.2)))
+        parts.append(box((0.08, width * 0.7, 0.25), (-length / 2 + 0.1, 0, top + 0.08)))
+    return parts
+
+
+def windows(rng: Rng, roof: Manifold) -> Manifold:
+    """A cabin with shallow window recesses on its sides."""
+    if chance(rng, 0.4):
+        return roof
+    low, high = np.reshape(roof.bounding_box(), (2, 3))
+    size, count = high - low, int(rng.integers(1, 5))
+    panes = [
+        box(
+            (0.6 * size[0] / count, 0.08, 0.45 * size[2]),
+            (low[0] + (0.2 + 0.6 * (i + 0.5) / count) * size[0], y, low[2] + 0.6 * size[2]),
+        )
+        for i in range(count)
+        for y in (low[1], high[1])
+    ]
+    return cut(roof, panes)
+
+
+def train(rng: Rng) -> Parts:
+    """A locomotive or a tractor: a boiler, a cab, a chimney, many wheels."""
+    length, width, n = rng.uniform(1.4, 2.4), rng.uniform(0.6, 0.9), segments(rng)
+    r = width * rng.uniform(0.35, 0.5)
+    base = rng.uniform(0.25, 0.4)
+    parts = [any_box(rng, (length, width, 0.18), (0, 0, base))]
+    parts.append(rod(r, length * 0.62, (length * 0.17, 0, base + r), "x", sides=n))
+    cab = any_box(rng, (length * 0.3, width, 2.2 * r), (-length * 0.33, 0, base + 1.1 * r))
+    if chance(rng, 0.6):
+        cab -= box((length * 0.16, 2, 0.7 * r), (-length * 0.33, 0, base + 1.5 * r))
+        if chance(rng, 0.5):
+            cab -= box(
+                (length * 0.3 - 0.14, width - 0.14, 1.9 * r), (-length * 0.33, 0, base + 1.0 * r)
+            )
+    roof = any_box(rng, (length * 0.36, width * 1.15, 0.08), (-length * 0.33, 0, base + 2.2 * r))
+    parts += [cab, roof]
+    for x in rng.uniform(0.0, 0.45, int(rng.integers(1, 4))) * length:
+        tall = rng.uniform(0.1, 0.4)
+        pipe = rod(rng.uniform(0.06, 0.12), tall + r, top=rng.uniform(0.06, 0.2), sides=n)
+        parts.append(move(pipe, x, 0, base + r + (tall + r) / 2))
+    count = int(rng.integers(2, 5))
+    parts += wheels(
+        rng,
+        np.linspace(-0.4, 0.4, count) * length,
+        width * 0.9,
+        min(0.45 * length / count, base * 0.9),
+    )
+    if chance(rng, 0.5):
+        parts.append(
+            hull(
+                box((0.02, width, 0.2), (length / 2, 0, base)),
+                box((0.2, width * 0.4, 0.05), (length / 2 + 0.1, 0, base * 0.5)),
+            )
+        )
+    return parts
+
+
+def airfoil(chord: float, thick: float) -> np.ndarray:
+    """A symmetric streamlined section (n, 2)."""
+    t = np.linspace(0, 1, 14)
+    y = thick * (1.48 * np.sqrt(t) - 0.63 * t - 1.76 * t**2 + 1.42 * t**3 - 0.51 * t**4) + 0.012
+    half = np.c_[chord * (0.5 - t), y]
+    return np.r_[half, (half * (1, -1))[::-1]]
+
+
+def blade(rng: Rng, span: float, root: float, tip: float, sweep: float, thick: float) -> Manifold:
+    """A tapered swept wing along +y from the origin: the hull of two sections."""
+    a = extrude(airfoil(root, thick), 0.02).rotate((90, 0, 0))
+    b = extrude(airfoil(tip, max(thick * tip / root, 0.025)), 0.02).rotate((90, 0, 0))
+    return hull(a, b.translate((-sweep, span, rng.normal(0, 0.08) * span)))
+
+
+def plane(rng: Rng) -> Parts:
+    """An airliner, glider, jet, biplane, rocket or drone."""
+    length, r, n = rng.uniform(1.8, 2.6), rng.uniform(0.1, 0.24), segments(rng)
+    nose, end = rng.uniform(0.1, 0.3), rng.uniform(0.3, 0.55)
+    x = np.linspace(0, 1, 30)
+    taper = np.minimum(
+        np.sqrt(np.clip(1 - (1 - x / nose).clip(0) ** 2, 0.01, 1)),
+        np.where(x > 1 - end, 0.25 + 0.75 * ((1 - x) / end).clip(0, 1) ** 0.7, 1),
+    )
+    body = revolve(np.r_[[[0, 0]], np.c_[r * taper, length * x], [[0, length]]], n)
+    body = body.rotate((0, -90, 0)).translate((length / 2, 0, 0))
+    parts = [body.scale((1, 1, rng.uniform(0.85, 1.3)))]
+    span, chord = rng.uniform(0.5, 1.3), rng.uniform(0.25, 0.6)
+    sweep, thick = rng.uniform(-0.05, 0.7), rng.uniform(0.035, 0.06)
+    at, level = rng.uniform(-0.1, 0.2) * length, rng.uniform(-0.7, 0.8) * r
+    right = blade(rng, span, chord, chord * rng.uniform(0.3, 0.9), sweep, thick)
+    wings = [move(right, at, 0, level), move(right.mirror((0, 1, 0)), at, 0, level)]
+    if chance(rng, 0.15):
+        wings += [move(wing, 0, 0, 1.6 * r) for wing in wings]
+        wings += [
+            strut((at, s * 0.6 * span, level), (at, s * 0.6 * span, level + 1.6 * r), 0.03)
+            for s in (-1, 1)
+        ]
+    small = blade(rng, span * rng.uniform(0.25, 0.4), chord * 0.5, chord * 0.3, sweep * 0.4, thick)
+    back, up = -0.44 * length, rng.uniform(0, 0.5) * r
+    fin = blade(rng, rng.uniform(0.25, 0.5), chord * 0.6, chord * 0.35, 0.2, thick).rotate(
+        (90, 0, 0)
+    )
+    wings += [
+        move(small, back, 0, up),
+        move(small.mirror((0, 1, 0)), back, 0, up),
+        move(fin, back, 0, 0),
+    ]
+    parts += wings
+    style = pick(rng, "jet", "prop", "none")
+    if style == "jet":
+        for share in pick(rng, (0.35,), (0.3, 0.6)):
+            for s in (-1, 1):
+                pod = rod(0.09, 0.35, axis="x", top=0.07, sides=n)
+                parts.append(move(pod, at + 0.1, s * share * span, level - 0.08))
+    elif style == "prop":
+        disc = [
+            box((0.04, 0.7, 0.08)).rotate((180.0 * i / k, 0, 0))
+            for k in (int(rng.integers(1, 4)),)
+            for i in range(k)
+        ]
+        parts += [move(b, length / 2, 0, 0) for b in [*disc, ball((0.12, 0.07, 0.07))]]
+    if chance(rng, 0.35):
+        for a, b in ((0.35 * length, 0), (-0.05 * length, 0.2), (-0.05 * length, -0.2)):
+            parts.append(strut((a, b, 0), (a, b * 1.2, -r - 0.15), 0.03))
+            parts.append(rod(0.08, 0.06, (a, b * 1.2, -r - 0.15), "y", sides=16))
+    if chance(rng, 0.5):
+        parts.append(ball((0.25, r * 0.6, r * 0.7), (0.25 * length, 0, r * 0.75)))
+    return parts
+
+
+def boat(rng: Rng) -> Parts:
+    """A hull, hollow or decked, with cabins, masts, funnels."""
+    length, beam, deep = rng.uniform(1.6, 2.6), rng.uniform(0.4, 0.9), rng.uniform(0.25, 0.6)
+    s = np.linspace(-1, 1, 24)
+    wide = (
+        beam / 2 * np.clip(1 - np.abs(s) ** rng.uniform(2, 5), 0, 1) ** rng.uniform(0.5, 0.9) + 0.01
+    )
+    outline = np.r_[np.c_[s * length / 2, wide], np.c_[s * length / 2, -wide][::-1]][::-1]
+    top = CrossSection([outline])
+    hull_ = extrude(top, deep, n_divisions=8, scale_top=(1.15, 1.5))
+    if chance(rng, 0.55):
+        inner = top.offset(-0.06).scale((1.08, 1.35))
+        return [hull_ - move(extrude(inner, deep), 0, 0, 0.09), *seats(rng, length, beam)]
+    parts, level = [hull_], deep / 2
+    long = length * rng.uniform(0.3, 0.6)
+    for _ in range(rng.integers(1, 4)):
+        tall = rng.uniform(0.1, 0.3)
+        parts.append(
+            any_box(rng, (long, beam * 0.7, tall), (-0.05 * length, 0, level + tall / 2 - 0.01))
+        )
+        level, long = level + tall - 0.02, long * rng.uniform(0.5, 0.9)
+    for x in rng.uniform(-0.2, 0.2, int(rng.integers(0, 4))) * length:
+        tall = rng.uniform(0.3, 1.3)
+        parts.append(rod(rng.uniform(0.035, 0.1), tall, (x, 0, level + tall / 2 - 0.05), sides=12))
+    if chance(rng, 0.3):
+        sail = extrude(np.array([(0, 0), (0.8, 0), (0, 1.4)]), 0.05).rotate((90, 0, 0))
+        parts += [move(sail, 0, 0, level - 0.05)]
+    return parts
+
+
+def seats(rng: Rng, length: float, beam: float) -> Parts:
+    """Thwarts across an open hull."""
+    return [
+        box((0.15, beam * 1.05, 0.06), (x * length, 0, 0.05))
+        for x in rng.uniform(-0.25, 0.25, int(rng.integers(1, 4)))
+    ]
+
+
+def two_wheeler(rng: Rng) -> Parts:
+    """A bicycle, motorcycle, scooter or wheelchair-like frame with spoked or solid wheels."""
+    r, base, n = rng.uniform(0.3, 0.5), rng.uniform(1.0, 1.5), int(rng.integers(20, 44))
+    heavy = chance(rng, 0.45)
+    thick = rng.uniform(0.09, 0.14) if heavy else rng.uniform(0.035, 0.05)
+    parts, spokes = [], int(rng.integers(3, 9))
+    for x in (-base / 2, base / 2):
+        t = np.arange(n) * 2 * np.pi / n
+        rim = np.stack([x + r * np.cos(t), 0 * t, r + r * np.sin(t)], 1)
+        parts += [tube(rim, thick, 10, closed=True), rod(0.09, 0.2, (x, 0, r), "y", sides=16)]
+        if heavy and chance(rng, 0.6):
+            parts.append(rod(r * 0.95, 0.06, (x, 0, r), "y"))
+        else:
+            angle = np.arange(spokes) * 2 * np.pi / spokes + rng.uniform(0, 3)
+            ends = [(x + r * np.cos(a), 0, r + r * np.sin(a)) for a in angle]
+            parts += [strut((x, 0, r), end, 0.03, sides=8) for end in ends]
+    bar = rng.uniform(0.035, 0.06)
+    crank, saddle = (
+        np.array([-0.1, 0, r * 0.9]),
+        np.array([-0.3 * base, 0, 2 * r + rng.uniform(0, 0.4)]),
+    )
+    steer = np.array([0.35 * base, 0, 2 * r + rng.uniform(0.1, 0.4)])
+    rear, front = np.array([-base / 2, 0, r]), np.array([base / 2, 0, r])
+    lines = [
+        (crank, saddle),
+        (crank, steer * (1, 1, 0.85)),
+        (saddle, steer * (1, 1, 0.9)),
+        (crank, rear),
+        (saddle, rear),
+        (steer, front),
+    ]
+    for a, b in lines:
+        if a is rear or b is rear or b is front:
+            gap = np.array([0, 0.13, 0])
+            parts += [strut(a + s * gap * 0.6, b + s * gap, bar, sides=10) for s in (-1, 1)]
+            parts.append(strut(a - gap * 0.6, a + gap * 0.6, bar * 1.1, sides=10))
+        else:
+            parts.append(strut(a, b, bar * 1.1, sides=10))
+    parts.append(soft_box((0.35, 0.2, 0.1), saddle + (0, 0, 0.04), 0.05))
+    grip = rng.uniform(0.2, 0.4)
+    bars = [
+        steer + (0.1 - 0.2 * abs(s) ** 2, s * grip, 0.05 + 0.1 * abs(s))
+        for s in np.linspace(-1, 1, 9)
+    ]
+    parts.append(tube(smooth_curve(bars, 24), bar, 10))
+    parts.append(strut(steer, bars[4], bar))
+    if heavy:
+        parts.append(any_box(rng, (0.45 * base, 0.28, 0.3), (0, 0, r * 1.2), 0.08))
+        parts.append(ball((0.3, 0.17, 0.16), (0.08, 0, 2 * r)))
+        if chance(rng, 0.6):
+            parts.append(union([strut((-0.5 * base, 0.17, r), (0.1, 0.17, r * 0.8), 0.07)]))
+    return parts
