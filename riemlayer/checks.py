@@ -259,3 +259,25 @@ def check_shapes(**named: tuple[Tensor, str]) -> dict[str, int]:
                 f"`{name}` must have shape ({', '.join(axes)}){where}, got {tuple(x.shape)}"
             )
     return bound
+
+
+def check_index(name: str, index: Any, size: int, like: Tensor) -> None:
+    """`index` is int64 in [0, size) and broadcasts with the batch axes of `like` (..., 3).
+
+    Raises:
+        TypeError: not an int64 tensor.
+        ValueError: out of range, on another device, or of a shape that does not broadcast.
+
+    Example:
+        >>> check_index("shape", torch.tensor([0, 2]), 2, like=torch.zeros(2, 3))
+        Traceback (most recent call last):
+        ValueError: `shape` must lie in [0, 2), got values in [0, 2]
+    """
+    if not isinstance(index, Tensor) or index.dtype != torch.int64:
+        got = index.dtype if isinstance(index, Tensor) else type(index).__name__
+        raise TypeError(f"`{name}` must be a torch.int64 tensor, got {got}; convert with .long()")
+    check_same_device(name, index, like)
+    if index.numel() and (int(index.min()) < 0 or int(index.max()) >= size):
+        low, high = int(index.min()), int(index.max())
+        raise ValueError(f"`{name}` must lie in [0, {size}), got values in [{low}, {high}]")
+    check_broadcast(**{name: index[..., None], "p": like})

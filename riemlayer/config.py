@@ -1,0 +1,119 @@
+"""Configurations: three frozen dataclasses and the presets `base`, `paper`, `tiny`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+
+
+@dataclass(frozen=True)
+class BackboneConfig:
+    """Octree and U-Net (Sec. 3.1, appendix B)."""
+
+    depth: int = 5
+    """Octree depth of the leaves: 2^depth cells along the cube."""
+    stem: int = 64
+    """Width of the point stem; 0 for the paper's plain leaf offsets."""
+    encoder: tuple[int, ...] = (64, 96, 128, 192)
+    """Channels at the leaves and after each halving."""
+    encoder_blocks: tuple[int, ...] = (2, 3, 3)
+    """Residual blocks after each halving."""
+    decoder: tuple[int, ...] = (192, 128, 128, 128)
+    """Channels at the coarsest level and after each doubling."""
+    decoder_blocks: tuple[int, ...] = (2, 2, 2)
+    """Residual blocks after each doubling."""
+    embedding: int = 256
+    """C, channels of the embedding z."""
+
+    def __post_init__(self) -> None:
+        stages = len(self.encoder) - 1
+        if not (len(self.decoder) - 1 == stages == len(self.encoder_blocks)):
+            raise ValueError(
+                f"encoder {self.encoder}, decoder {self.decoder} and encoder_blocks "
+                f"{self.encoder_blocks} must describe the same number of stages"
+            )
+        if len(self.decoder_blocks) != stages:
+            raise ValueError(f"decoder_blocks must have {stages} entries, got {self.decoder_blocks}")
+        if not stages <= self.depth <= 10:
+            raise ValueError(f"depth must lie in [{stages}, 10] (one level a stage), got {self.depth}")
+
+
+@dataclass(frozen=True)
+class HeadConfig:
+    """Triplane hypernetworks and what their decoders are told (Sec. 3.2, appendix B)."""
+
+    resolution: int = 16
+    """R, cells along a plane."""
+    channels: int = 8
+    """Channels of a plane."""
+    hidden: int = 256
+    """Width of the decoder."""
+    layers: int = 3
+    """Linear layers of the decoder."""
+    anchored: bool = True
+    """Anchored residual maps, exact at the source (ours); False: the paper's plain decoder."""
+    narrow: int = 32
+    """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
+    walk_steps: int = 8
+    """Steps of the walked prior of Exp; 0: straight (q = p + v), as in the paper."""
+
+    def __post_init__(self) -> None:
+        if self.layers < 2:
+            raise ValueError(f"layers must be at least 2, got {self.layers}")
+        if not self.anchored and (self.narrow or self.walk_steps):
+            raise ValueError("narrow and walk_steps refine the anchored maps: set anchored=True")
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """The whole field."""
+
+    backbone: BackboneConfig = field(default_factory=BackboneConfig)
+    head: HeadConfig = field(default_factory=HeadConfig)
+    radius: float = 0.5
+    """Trained tangent radius, in the normalised cube [-1, 1]^3."""
+
+    @classmethod
+    def base(cls) -> FieldConfig:
+        """What the package ships."""
+        return cls()
+
+    @classmethod
+    def paper(cls) -> FieldConfig:
+        """Appendix B to the letter: depth 6, no point stem, no anchor, no prior, no refinement."""
+        backbone = BackboneConfig(
+            depth=6, stem=0, encoder=(64, 64, 64, 128), decoder=(128, 128, 128, 128)
+        )
+        return cls(backbone, HeadConfig(anchored=False, narrow=0, walk_steps=0))
+
+    @classmethod
+    def tiny(cls) -> FieldConfig:
+        """For tests and examples: trains and answers in under a second on a processor."""
+        backbone = BackboneConfig(
+            depth=4, stem=16, encoder=(16, 16, 32), encoder_blocks=(1, 1),
+            decoder=(32, 32, 32), decoder_blocks=(1, 1), embedding=48,
+        )
+        return cls(backbone, HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=4))
+
+    @classmethod
+    def preset(cls, name: str) -> FieldConfig:
+        """The configuration called `base`, `paper` or `tiny`."""
+        presets = {"base": cls.base, "paper": cls.paper, "tiny": cls.tiny}
+        if name not in presets:
+            raise ValueError(f"preset must be one of {sorted(presets)}, got {name!r}")
+        return presets[name]()
+
+    def to_dict(self) -> dict:
+        """As plain numbers and lists, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict) -> FieldConfig:
+        """Inverse of `to_dict`; unknown names raise."""
+        try:
+            tuples = {k: tuple(v) if isinstance(v, list) else v for k, v in values["backbone"].items()}
+            return replace(
+                cls(), backbone=BackboneConfig(**tuples), head=HeadConfig(**values["head"]),
+                **{k: v for k, v in values.items() if k not in ("backbone", "head")},
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"not the configuration of an ExpLogField: {error}") from error

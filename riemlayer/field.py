@@ -1,0 +1,134 @@
+"""`ExpLogField`: a raw point cloud in, a surface with Exp and Log out (Fig. 1 and Fig. 2).
+
+Names, here and everywhere below:
+
+    p  source point on M           (S, 3)       z  embedding at p               (S, C)
+    v  tangent vector at p         (S, K, 3)    J  Jacobian of a map            (S, K, 3, 3)
+    q  point reached, q = Exp_p v  (S, K, 3)    S sources, K queries a source, C channels
+
+Inside, all geometry is in the normalised cube [-1, 1]^3; v and q - p are in the same length unit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import NamedTuple, Self
+
+import torch
+from torch import Tensor, nn
+
+from riemlayer import checks
+from riemlayer.backbone import OctreeUNet
+from riemlayer.config import FieldConfig
+from riemlayer.geometry import local_planes
+from riemlayer.heads import Embedding, ExpHead, LogHead
+from riemlayer.octree import build_octree
+from riemlayer.storage import Pretrained
+from riemlayer.surface import EncodedSurface
+
+
+class FieldOutput(NamedTuple):
+    """What `ExpLogField.forward` answers; None where the query was not given."""
+
+    exp: Tensor | None
+    log: Tensor | None
+
+
+class ExpLogField(Pretrained, nn.Module):
+    """Geometric embedding field with hyper-modulated Exp and Log (Sec. 3).
+
+    `encode` runs the backbone once on a cloud; the surface it returns answers Exp and Log from any
+    source. Differentiable in the weights, p, v, q and, through the features, in the points.
+
+    Args:
+        config: widths and depth; `FieldConfig.base()` by default.
+
+    Shapes: points (N, 3), p (..., 3), v (..., 3) -> q (..., 3).
+
+    >>> field = ExpLogField.from_preset("tiny")
+    >>> points = torch.nn.functional.normalize(torch.randn(400, 3), dim=-1)
+    >>> p, q = points[:1], points[1:4]
+    >>> bool((field.encode(points).log(p, p) == 0).all())
+    True
+    """
+
+    def __init__(self, config: FieldConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or FieldConfig.base()
+        c = config.backbone.embedding
+        self.backbone = OctreeUNet(config.backbone)
+        self.narrow = nn.Linear(c, config.head.narrow) if config.head.narrow else None
+        self.exp_head = ExpHead(c, config.radius, config.head)
+        self.log_head = LogHead(c, config.radius, config.head)
+
+    @classmethod
+    def from_preset(cls, name: str) -> Self:
+        """Untrained field of the preset `base`, `paper` or `tiny`."""
+        return cls(FieldConfig.preset(name))
+
+    def encode(self, points: Tensor, batch: Tensor | None = None) -> EncodedSurface:
+        """Encode raw clouds once (Sec. 3.1).
+
+        Each cloud is centred and scaled by its own bounding box to the cube [-1, 1]^3; a cloud gives
+        the same surface alone or in a batch, and the order of its points does not matter.
+
+        Args:
+            points: (N, 3) of one cloud, or of several packed one after the other; any unit.
+            batch: (N,) int64, sorted: cloud of each point of a packed batch.
+
+        Returns:
+            An `EncodedSurface`.
+
+        Raises:
+            TypeError, ValueError: naming the argument, what was expected and what came.
+        """
+        checks.check_points(points, batch)
+        if batch is None:
+            batch = torch.zeros(len(points), dtype=torch.long, device=points.device)
+        centre, scale = bounding_cubes(points, batch)
+        x = (points - centre[batch]) / scale[batch][:, None]
+        return EncodedSurface(self, self.embed(x.clamp(-1, 1), batch), centre, scale)
+
+    def embed(self, points: Tensor, batch: Tensor) -> Embedding:
+        """Embedding field of packed clouds (N, 3) that already lie in the cube."""
+        backbone = self.config.backbone
+        finest = backbone.depth + 1
+        octree = build_octree(points, batch, finest, coarsest=backbone.depth - len(backbone.encoder) + 1)
+        with self.half_precision():
+            planes = local_planes(points, octree)
+            z = self.backbone(points, octree, planes)
+            narrow = None if self.narrow is None else self.narrow(z).to(points.dtype)
+        return Embedding(z.to(points.dtype), narrow, octree.level(backbone.depth), planes)
+
+    def forward(
+        self, points: Tensor, p: Tensor, v: Tensor | None = None, q: Tensor | None = None,
+        batch: Tensor | None = None, shape: Tensor | None = None,
+    ) -> FieldOutput:
+        """Encode, then Exp_p(v) and Log_p(q): the whole of Fig. 2 in one call, for DDP and compile."""
+        surface = self.encode(points, batch)
+        exp = None if v is None else surface.exp(p, v, shape=shape)
+        log = None if q is None else surface.log(p, q, shape=shape)
+        return FieldOutput(exp, log)
+
+    def half_precision(self) -> contextlib.AbstractContextManager:
+        """bfloat16 matrix products where weights are float32 and the processor has them."""
+        weight = self.backbone.head.weight
+        device = weight.device.type
+        if weight.dtype != torch.float32 or torch.is_autocast_enabled(device):
+            return contextlib.nullcontext()
+        return torch.autocast(device, torch.bfloat16, enabled=_has_bfloat16(device))
+
+
+def bounding_cubes(points: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+    """Centre (B, 3) of each cloud's bounding box and half its longest side (B,)."""
+    index = batch[:, None].expand_as(points)
+    empty = points.new_zeros(int(batch[-1]) + 1, 3)
+    low = empty.scatter_reduce(0, index, points, "amin", include_self=False)
+    high = empty.scatter_reduce(0, index, points, "amax", include_self=False)
+    return (low + high) / 2, (high - low).amax(-1) / 2
+
+
+def _has_bfloat16(device: str) -> bool:
+    if device == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return device == "cpu" and torch.cpu._is_avx512_bf16_supported()

@@ -1,0 +1,140 @@
+"""Local planes of a cloud: a centroid and a PCA normal for each octree node, blended between nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riemlayer.numerics import (
+    normalise,
+    outer6,
+    segment_sum,
+    smallest_eigenvector,
+    symmetric_eigenvalues,
+)
+from riemlayer.octree import Level, Octree, corners
+
+PARENT_POINTS = 0.2
+"""Weight, in points, of the parent's neighbourhood in a node's moments: it decides only where the
+node's own neighbourhood is too sparse for a plane."""
+NEIGHBOURHOOD = 0.85
+"""Width, in cells, of the Gaussian that weights the neighbours' moments."""
+BLEND = 0.5
+"""Width, in cells, of the Gaussian that blends the planes around a query."""
+FALLBACK = 1e-3
+"""Weight of the coarse planes beside the fine ones; they alone count where fine nodes are missing."""
+
+
+class PlaneLevel(NamedTuple):
+    """Planes of the n nodes of a level; a last row stands for "no node"."""
+
+    level: Level
+    centroid: Tensor
+    """(n + 1, 3)"""
+    normal: Tensor
+    """(n + 1, 3), unit, its sign without meaning."""
+    eigenvalues: Tensor
+    """(n, 3) of the local covariance, ascending."""
+
+    def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
+        """Weighted sums (Q, 5) of oriented normals, signed distances of `x`, and the weights."""
+        node, weight = corners(self.level, x, batch)                               # (Q, 8)
+        offset = x[:, None] - self.centroid.index_select(0, node.flatten()).view(-1, 8, 3)
+        normal = self.normal.index_select(0, node.flatten()).view(-1, 8, 3)
+        width = BLEND * self.level.cell_size
+        weight = weight * torch.exp(offset.square().sum(-1) * (-0.5 / width**2))   # (Q, 8)
+        agree = (normal * towards[:, None]).sum(-1)
+        sign = torch.where(agree < 0, -weight, weight)                             # (Q, 8)
+        distance = (sign * (normal * offset).sum(-1)).sum(-1, keepdim=True)
+        normal = (sign[..., None] * normal).sum(1)
+        return torch.cat((normal, distance, weight.sum(-1, keepdim=True)), -1)
+
+
+class LocalPlanes(NamedTuple):
+    """Planes at two adjacent levels: fine ones, and coarse ones where the fine nodes are missing."""
+
+    fine: PlaneLevel
+    coarse: PlaneLevel
+
+    def at(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
+
+        Normals take the sign that agrees with `towards` (Q, 3). The weights are trilinear times a
+        Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from every
+        node the normal is `towards` and the distance 0.
+        """
+        sums = self.fine.blend(x, batch, towards)
+        thin = (sums[:, 4] < 30 * FALLBACK).nonzero().squeeze(-1)
+        if len(thin):
+            coarse = self.coarse.blend(x[thin], batch[thin], towards[thin])
+            sums = sums.index_add(0, thin, FALLBACK * coarse)
+        weight = sums[:, 4:].clamp_min(1e-12)
+        found = sums[:, 4:] > 1e-10
+        normal = torch.where(found, sums[:, :3] / weight, towards)
+        distance = torch.where(found, sums[:, 3:4] / weight, torch.zeros_like(weight))
+        return normalise(normal), distance
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> LocalPlanes:
+        """The same with `change`, such as a move to another device, applied to every tensor."""
+        return LocalPlanes(*(PlaneLevel(x.level.map(change), *map(change, x[1:])) for x in self))
+
+    def point_features(self, points: Tensor, node: Tensor) -> Tensor:
+        """What the stem is told of each point's plane: (N, 11), without units and without sign.
+
+        Normal (6 products), two ratios of eigenvalues, offset from the centroid in cells.
+        """
+        plane = self.fine
+        values = plane.eigenvalues[node]
+        ratios = (values[:, :2] / values[:, 2:].clamp_min(1e-12)).clamp(0, 1)
+        offset = (points - plane.centroid[node]) / plane.level.cell_size
+        return torch.cat((outer6(plane.normal[node]), ratios, offset), -1)
+
+
+def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
+    """Planes of the two finest levels of `octree` by PCA (appendix D: normals by PCA).
+
+    Args:
+        points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
+    """
+    depth = octree.depth
+    moments = segment_sum(_moments(points), octree.leaf, len(octree.level(depth)))  # (n, 10)
+    levels = []
+    for d in (depth, depth - 1):
+        level, parent = octree.level(d), octree.level(d - 1)
+        assert level.parent is not None  # the octree goes below these levels
+        parent_moments = segment_sum(moments, level.parent, len(parent))
+        levels.append(_plane_level(moments, parent_moments, level, parent))
+        moments = parent_moments
+    return LocalPlanes(*levels)
+
+
+def _plane_level(moments: Tensor, parent_moments: Tensor, level: Level, parent: Level) -> PlaneLevel:
+    around = _neighbourhood_sum(moments, level)
+    wide = _neighbourhood_sum(parent_moments, parent)
+    assert level.parent is not None
+    total = around + (PARENT_POINTS * wide / wide[:, :1])[level.parent]
+    mean = total / total[:, :1]
+    covariance = mean[:, 4:] - outer6(mean[:, 1:4])
+    eigenvalues = symmetric_eigenvalues(covariance)
+    normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
+    centroid = moments[:, 1:4] / moments[:, :1]
+    pad = moments.new_zeros(1, 3)
+    return PlaneLevel(level, torch.cat((centroid, pad)), torch.cat((normal, pad)), eigenvalues)
+
+
+def _moments(x: Tensor) -> Tensor:
+    return torch.cat((torch.ones_like(x[:, :1]), x, outer6(x)), -1)                # (N, 10)
+
+
+def _neighbourhood_sum(moments: Tensor, level: Level) -> Tensor:
+    """Sums (n, 10) over 27 neighbours, weighted by the distance between centroids."""
+    centroid = moments[:, 1:4] / moments[:, :1]
+    rows = torch.cat((moments, moments.new_zeros(1, 10)))
+    rows = rows.index_select(0, level.neighbours.flatten()).view(-1, 27, 10)       # (n, 27, 10)
+    near = rows[..., 1:4] / rows[..., :1].clamp_min(1e-6)
+    width = NEIGHBOURHOOD * level.cell_size
+    weight = torch.exp((near - centroid[:, None]).square().sum(-1) * (-0.5 / width**2))
+    return (weight[..., None] * rows).sum(1)  # not a matrix product: autocast must not halve it

@@ -1,0 +1,71 @@
+"""Geodesic walking over the local planes of a cloud (appendix D), vectorised and differentiable."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riemlayer.geometry.planes import LocalPlanes
+from riemlayer.numerics import normalise
+
+ANCHOR = 0.3
+"""Length, in cells, within which a walk leaves p along v itself, to first order."""
+NEGLIGIBLE = 1e-6
+"""Vectors much shorter than this have no direction."""
+
+
+class Walked(NamedTuple):
+    """Where a walk ended."""
+
+    point: Tensor
+    """(Q, 3) end point."""
+    vector: Tensor
+    """(Q, 3) v carried along by parallel transport: |v| times the end direction."""
+    normal: Tensor
+    """(Q, 3) unit normal at the end; its sign is arbitrary at the start and kept along the walk."""
+
+
+def walk(planes: LocalPlanes, p: Tensor, v: Tensor, batch: Tensor, steps: int = 8) -> Walked:
+    """Walk from `p` along `v` over the local planes in `steps` equal steps (appendix D).
+
+    Each step goes straight ahead, drops onto the plane found there, and turns the direction by the
+    smallest rotation that takes the last normal to the new one: parallel transport, where the paper
+    projects and renormalises. In 8 steps this is as accurate as projection in steps of half the
+    spacing. Where no plane is near the walk goes straight on.
+
+    Exact at the origin: walk(p, 0) = p with the identity as its differential, because the departure
+    from p + v is faded in with |v|^2 over `ANCHOR` cells.
+
+    Args:
+        planes: of the cloud.
+        p: (Q, 3) starts, in the cube.
+        v: (Q, 3) tangent vectors.
+        batch: (Q,) int64, shape of each start.
+        steps: number of steps; 8 for the trained radius, |v| over half the spacing for the fine walk.
+    """
+    x, carried = p, v
+    up = torch.zeros_like(p)
+    up[:, 2] = 1
+    normal, _ = planes.at(p, batch, up)
+    square = v.square().sum(-1, keepdim=True)
+    tilt = (normal * v).sum(-1, keepdim=True) / (square + NEGLIGIBLE**2)
+    normal = normalise(normal - tilt * v)
+    for _ in range(steps):
+        x = x + carried / steps
+        ahead, gap = planes.at(x, batch, normal)
+        x = x - gap * ahead
+        carried, normal = turn(carried, normal, ahead), ahead
+    fade = square / (square + (ANCHOR * planes.fine.level.cell_size) ** 2)
+    return Walked(p + v + fade * (x - p - v), carried, normal)
+
+
+def turn(w: Tensor, n: Tensor, m: Tensor) -> Tensor:
+    """Rotate vectors `w`, orthogonal to `n`, by the smallest rotation that takes `n` to `m`.
+
+    Length is kept. Between opposite normals, where the rotation is undefined, the denominator is held
+    above 0.2.
+    """
+    cosine = (n * m).sum(-1, keepdim=True)
+    return w - (w * m).sum(-1, keepdim=True) / (1 + cosine).clamp_min(0.2) * (n + m)

@@ -1,0 +1,162 @@
+"""The two branches of Fig. 2: ExpHead and LogHead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from riemlayer.config import HeadConfig
+from riemlayer.geometry import LocalPlanes, walk
+from riemlayer.heads.triplane import TriplaneHypernetwork, sample_triplane
+from riemlayer.numerics import outer6, safe_norm
+from riemlayer.octree import Level, interpolate
+
+
+class Embedding(NamedTuple):
+    """What the heads read: the embedding field of a packed batch of clouds, and its planes."""
+
+    z: Tensor
+    """(n, C) embeddings of the leaves."""
+    narrow: Tensor | None
+    """(n, narrow) a few channels of them, read at end points."""
+    level: Level
+    planes: LocalPlanes
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> Embedding:
+        """The same with `change` applied to every tensor that depends on the cloud."""
+        narrow = None if self.narrow is None else change(self.narrow)
+        return Embedding(change(self.z), narrow, self.level.map(change), self.planes.map(change))
+
+
+class MapOutput(NamedTuple):
+    """Answer of a head, in the normalised cube."""
+
+    vector: Tensor
+    """(S, K, 3): q - p for Exp, v for Log."""
+    validity: Tensor
+    """(S, K) logit: the query lies before the cut locus."""
+
+
+class Decoder(nn.Module):
+    """Tiny MLP (Sec. 3.2, step 3): (..., in) -> hidden (..., width) -> (..., 3)."""
+
+    def __init__(self, inputs: int, config: HeadConfig) -> None:
+        super().__init__()
+        widths = [inputs, *[config.hidden] * (config.layers - 1)]
+        layers = []
+        for a, b in zip(widths, widths[1:], strict=False):
+            layers += [nn.Linear(a, b), nn.GELU()]
+        self.body = nn.Sequential(*layers)
+        self.out = nn.Linear(config.hidden, 3)
+        if config.anchored:
+            nn.init.normal_(self.out.weight, std=0.01)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        hidden = self.body(x)
+        return hidden, self.out(hidden).to(x.dtype)
+
+
+class MapHead(nn.Module):
+    """What both branches share: triplane, decoder, and a validity read from the hidden features.
+
+    Validity does not disturb the maps: it sees the hidden features without a gradient.
+    """
+
+    def __init__(self, embedding: int, told: int, radius: float, config: HeadConfig) -> None:
+        super().__init__()
+        self.config, self.radius = config, radius
+        self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
+        self.decoder = Decoder(3 * config.channels + 3 + told, config)
+        self.valid = nn.Linear(config.hidden, 1)
+
+    def decode(self, z: Tensor, x: Tensor, *told: Tensor) -> tuple[Tensor, Tensor]:
+        """Decoder on triplane features at `x` (S, K, 3), on `x` itself and on what else it is told."""
+        x = x / self.radius
+        features = sample_triplane(self.planes(z), x)
+        return self.decoder(torch.cat((features.to(x.dtype), x, *told), -1))
+
+    def validity(self, hidden: Tensor) -> Tensor:
+        return self.valid(hidden.detach()).squeeze(-1).to(z_dtype(hidden))
+
+
+def z_dtype(x: Tensor) -> torch.dtype:
+    """Type of answers: float32 where the network ran in half precision."""
+    return torch.float32 if x.dtype in (torch.bfloat16, torch.float16) else x.dtype
+
+
+class ExpHead(MapHead):
+    """Exp_p(v) = walk(p, v) + |v| (f(v) - f(0)), with f told where the walk ended (ours).
+
+    The walk over the cloud's planes is the prior; f sees the triplane of z(p) at v, the walked end
+    point, direction and normal, and the narrow embedding where it landed. A second small decoder
+    looks the embedding up where the first correction landed, and corrects again. Exp_p(0) = p and
+    d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet: q = p + f(v).
+    """
+
+    def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
+        super().__init__(embedding, 12 + config.narrow if config.anchored else 0, radius, config)
+        if config.anchored:
+            self.refine = Decoder(config.hidden + config.narrow, config)
+
+    def forward(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> MapOutput:
+        z, _ = interpolate(field.z, field.level, p, shape)                         # (S, C)
+        if not self.config.anchored:
+            hidden, vector = self.decode(z, v)
+            return MapOutput(vector, self.validity(hidden))
+        v = torch.cat((torch.zeros_like(v[:, :1]), v), 1)                          # (S, 1 + K, 3)
+        moved, told = self.prior(field, p, v, shape)
+        landed = read_narrow(field, p[:, None] + moved, shape)
+        hidden, f = self.decode(z, v, *told, landed)
+        first = moved + safe_norm(v) * (f - f[:, :1])
+        landed = read_narrow(field, p[:, None] + first, shape)
+        hidden, g = self.refine(torch.cat((hidden.to(landed.dtype), landed), -1))
+        vector = first + safe_norm(v) * (g - g[:, :1])
+        return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:]))
+
+    def prior(
+        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor
+    ) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
+        """Displacement of the prior (S, K, 3), and what the decoder is told about it."""
+        if not self.config.walk_steps:
+            return v, (torch.zeros_like(v), v / self.radius, v.new_zeros(*v.shape[:2], 6))
+        start = p[:, None].expand_as(v).reshape(-1, 3)
+        index = shape[:, None].expand(v.shape[:2]).flatten()
+        end = walk(field.planes, start, v.flatten(0, 1), index, self.config.walk_steps)
+        moved = (end.point - start).view_as(v)
+        turned, normal = end.vector.view_as(v), outer6(end.normal).unflatten(0, v.shape[:2])
+        return moved, ((moved - v) / self.radius, turned / self.radius, normal)
+
+
+class LogHead(MapHead):
+    """Log_p(q) = x + |x| (h(x) - h(0)) with x = q - p (ours), h told the embedding at q and half-way.
+
+    Log_p(p) = 0 and d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet:
+    v = h(x).
+    """
+
+    def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
+        super().__init__(embedding, 2 * config.narrow, radius, config)
+
+    def forward(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> MapOutput:
+        z, _ = interpolate(field.z, field.level, p, shape)                         # (S, C)
+        x = q - p[:, None]
+        if not self.config.anchored:
+            hidden, vector = self.decode(z, x)
+            return MapOutput(vector, self.validity(hidden))
+        x = torch.cat((torch.zeros_like(x[:, :1]), x), 1)                          # (S, 1 + K, 3)
+        told = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
+        hidden, h = self.decode(z, x, *told)
+        vector = x + safe_norm(x) * (h - h[:, :1])
+        return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:]))
+
+
+def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:
+    """Narrow embedding (S, K, narrow) at points (S, K, 3) of the cube."""
+    if field.narrow is None:
+        return x.new_zeros(*x.shape[:2], 0)
+    index = shape[:, None].expand(x.shape[:2]).flatten()
+    value, _ = interpolate(field.narrow, field.level, x.flatten(0, 1), index)
+    return value.unflatten(0, x.shape[:2])

@@ -1,0 +1,180 @@
+"""Training losses, Eqs (1)-(4), and ours: Sobolev pairs, relative weighting, validity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from riemlayer.numerics import safe_norm
+from riemlayer.surface import EncodedSurface
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the terms; the defaults of the first three are the paper's."""
+
+    rec: float = 1.0
+    """Eq. (2), reconstruction of Exp and Log."""
+    geo: float = 0.01
+    """Eq. (3), isometric and conformal."""
+    cyc: float = 0.01
+    """Eq. (4), cycle consistency."""
+    pairs: float = 0.0
+    """Sobolev pairs (ours)."""
+    validity: float = 0.1
+    """Cross entropy of the validity (ours); touches nothing but the validity's own layer."""
+    relative: bool = False
+    """Weight reconstruction by 1 / (|v| + 0.1) (ours), so that small radii count."""
+
+    def __post_init__(self) -> None:
+        for name in ("rec", "geo", "cyc", "pairs", "validity"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+
+def reconstruction_loss(predicted: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
+    """Eq. (2): L1 distance |predicted - truth|_1, averaged with `weight`.
+
+    Args:
+        predicted, truth: (..., 3).
+        weight: (...) non-negative; 0 leaves a query out.
+
+    >>> reconstruction_loss(torch.ones(2, 3), torch.zeros(2, 3), torch.tensor([1.0, 0.0]))
+    tensor(3.)
+    """
+    return weighted_mean((predicted - truth).abs().sum(-1), weight)
+
+
+def weighted_mean(x: Tensor, weight: Tensor) -> Tensor:
+    """Mean of `x` with `weight` of the same shape; 0 where every weight is 0."""
+    return (x * weight).sum() / weight.sum().clamp_min(torch.finfo(x.dtype).tiny)
+
+
+def isometric_loss(J: Tensor) -> Tensor:
+    """Eq. (3), left: sum_i |M_ii - 1| with M = J^T J, averaged over queries.
+
+    For the tangent form (ours) pass `J @ frame`: directions off the tangent plane have no meaning.
+
+    Args:
+        J: (..., 3, 3) Jacobians, or (..., 3, 2) restricted to the tangent plane.
+
+    >>> isometric_loss(2 * torch.eye(3))
+    tensor(9.)
+    """
+    M = J.mT @ J
+    return (M.diagonal(dim1=-2, dim2=-1) - 1).abs().sum(-1).mean()
+
+
+def conformal_loss(J: Tensor) -> Tensor:
+    """Eq. (3), right: sum_{i != j} |M_ij| with M = J^T J, averaged over queries.
+
+    Args:
+        J: (..., 3, 3) Jacobians, or (..., 3, 2) restricted to the tangent plane.
+
+    >>> conformal_loss(2 * torch.eye(3))
+    tensor(0.)
+    """
+    M = J.mT @ J
+    off = M - torch.diag_embed(M.diagonal(dim1=-2, dim2=-1))
+    return off.abs().sum((-2, -1)).mean()
+
+
+def cycle_loss(back: Tensor, v: Tensor, weight: Tensor) -> Tensor:
+    """Eq. (4): |h(g(v)) - v|_1 for `back` = h(g(v)), averaged with `weight`."""
+    return reconstruction_loss(back, v, weight)
+
+
+def pair_loss(error: Tensor, apart: Tensor, weight: Tensor) -> Tensor:
+    """Sobolev pairs (ours): L1 change of the error between two neighbours, over their distance.
+
+    It is what the angle and distance metrics, Eq. (5), see of a map.
+
+    Args:
+        error: (..., K, 3) predicted minus true; query i pairs with query i + K/2.
+        apart: (..., K, 3) where the queries are: v for Exp, q for Log.
+        weight: (..., K).
+
+    >>> pair_loss(torch.ones(1, 4, 3), torch.rand(1, 4, 3), torch.ones(1, 4))
+    tensor(0.)
+    """
+    a, b = error.chunk(2, -2)
+    x, y = apart.chunk(2, -2)
+    distance = safe_norm(x - y).squeeze(-1).clamp_min(0.005)
+    both = torch.minimum(*weight.chunk(2, -1))
+    return weighted_mean((a - b).abs().sum(-1) / distance, both)
+
+
+def validity_loss(logit: Tensor, valid: Tensor, known: Tensor) -> Tensor:
+    """Cross entropy of the validity against the filter's labels, Eq. (8) (ours).
+
+    Args:
+        logit, valid, known: (...) logits, labels, and which labels count.
+    """
+    entropy = F.binary_cross_entropy_with_logits(logit, valid.to(logit.dtype), reduction="none")
+    return weighted_mean(entropy, known.to(logit.dtype))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Traced ground truth for S sources with K queries each, in the units of the cloud."""
+
+    p: Tensor
+    """(S, 3)"""
+    v: Tensor
+    """(S, K, 3); query i pairs with query i + K/2."""
+    q: Tensor
+    """(S, K, 3)"""
+    valid: Tensor
+    """(S, K) bool, kept by the filter of Eq. (8)."""
+    known: Tensor
+    """(S, K) bool: the trace is complete and lies in the cloud."""
+    shape: Tensor
+    """(S,) int64, cloud of each source."""
+
+
+def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -> dict[str, Tensor]:
+    """Eq. (1) and its terms, by name; lengths in the normalised cube.
+
+    Eq. (3) needs Jacobians, the costly part: it is averaged over every eighth query, and Eq. (4) over
+    every fourth, where the paper takes all.
+    """
+    p, v, q = truth.p[:, None], truth.v, truth.q
+    shape = truth.shape[:, None]
+    scale = surface.scale[shape][..., None]
+    good = (truth.valid & truth.known).to(v.dtype)
+    length = v.norm(dim=-1) / scale.squeeze(-1)
+    weight = good / (length + 0.1) if weights.relative else good
+    end, exp_logit = surface.decode_exp(p, v, shape)
+    back, log_logit = surface.decode_log(p, q, shape)
+    off_exp, off_log = (end - q) / scale, (back - v) / scale
+    zero = torch.zeros_like(off_exp)
+    terms = {
+        "exp": reconstruction_loss(off_exp, zero, weight),
+        "log": reconstruction_loss(off_log, zero, weight),
+    }
+    total = weights.rec * (terms["exp"] + terms["log"])
+    if weights.pairs:
+        terms["pairs"] = pair_loss(off_exp, v / scale, weight) + pair_loss(off_log, q / scale, weight)
+        total = total + weights.pairs * terms["pairs"]
+    if weights.cyc:
+        some = slice(None, None, 4)
+        again, _ = surface.decode_log(p, end[:, some], shape)
+        terms["cycle"] = cycle_loss(again / scale, v[:, some] / scale, weight[:, some])
+        total = total + weights.cyc * terms["cycle"]
+    if weights.geo:
+        some = slice(None, None, 8)
+        _, J_exp = surface.jacobian_exp(p, v[:, some], shape=shape)
+        _, J_log = surface.jacobian_log(p, q[:, some], shape=shape)
+        chosen = good[:, some].bool()
+        for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
+            terms[name] = loss(J_exp[chosen]) + loss(J_log[chosen])
+            total = total + weights.geo * terms[name]
+    if weights.validity:
+        terms["validity"] = validity_loss(exp_logit, truth.valid, truth.known) + validity_loss(
+            log_logit, truth.valid, truth.known
+        )
+        total = total + weights.validity * terms["validity"]
+    return {"total": total, **terms}

@@ -1,0 +1,78 @@
+"""Trilinear look-up of node features at any point of the cube."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riemlayer.octree.build import HALF_WIDTH, Level
+
+OCTANTS = torch.cartesian_prod(*[torch.arange(2)] * 3)
+"""(8, 3) offsets to the corners of a cell."""
+
+
+class Corners(NamedTuple):
+    """The eight nodes around each query, and their trilinear weights."""
+
+    node: Tensor
+    """(Q, 8) int64; n where there is no node."""
+    weight: Tensor
+    """(Q, 8), 0 where there is no node; they do not yet sum to 1."""
+
+    @property
+    def in_support(self) -> Tensor:
+        """(Q,) bool: at least one of the eight nodes exists and counts."""
+        return self.weight.sum(-1) > 1e-6
+
+
+def corners(level: Level, x: Tensor, batch: Tensor) -> Corners:
+    """Nodes around queries `x` (Q, 3) of shapes `batch` (Q,), differentiable in `x`.
+
+    Queries beyond the outermost cell centres are moved onto them, so no weight is ever negative.
+    """
+    last = (1 << level.depth) - 1
+    t = ((x + HALF_WIDTH) / level.cell_size - 0.5).clamp(0, last)                  # (Q, 3)
+    cell = t.detach().floor().clamp_max(max(last - 1, 0))
+    fraction = t - cell
+    node = level.around(cell.long(), batch, OCTANTS.to(x.device))                  # (Q, 8)
+    wx, wy, wz = torch.stack((1 - fraction, fraction), -1).unbind(1)               # (Q, 2)
+    weight = wx[:, :, None, None] * wy[:, None, :, None] * wz[:, None, None, :]
+    return Corners(node, weight.flatten(1) * (node < len(level)))
+
+
+def nearest_node(level: Level, x: Tensor, batch: Tensor, chunk: int = 4096) -> Tensor:
+    """Node (Q,) of the same shape whose centre is nearest to each query, by brute force."""
+    centres, shape = level.centres().to(x.dtype), level.batch()
+    parts = []
+    for xs, bs in zip(x.split(chunk), batch.split(chunk), strict=True):
+        distance = torch.cdist(xs, centres)
+        parts.append(distance.masked_fill(bs[:, None] != shape, torch.inf).argmin(-1))
+    return torch.cat(parts) if parts else batch.new_zeros(0)
+
+
+def interpolate(features: Tensor, level: Level, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+    """Trilinear interpolation of node features at `x` (Sec. 3.1): values (Q, C), in_support (Q,).
+
+    Weights are renormalised over the nodes that exist. A query with none of its eight nodes takes
+    the feature of the nearest node of its shape and has `in_support` False.
+
+    Args:
+        features: (n, C) of `level`.
+        x: (Q, 3) in the cube; differentiable.
+        batch: (Q,) int64, shape of each query.
+    """
+    node, weight = corners(level, x, batch)
+    total = weight.sum(-1, keepdim=True)
+    supported = total.detach().squeeze(-1) > 1e-6
+    weight = weight / total.clamp_min(1e-6)
+    node = node.clamp_max(len(level) - 1)
+    if not bool(supported.all()):
+        lost = ~supported
+        nearest = torch.zeros_like(node[:, 0])
+        nearest[lost] = nearest_node(level, x.detach()[lost], batch[lost])
+        node = torch.where(lost[:, None], nearest[:, None], node)
+        weight = torch.where(lost[:, None], torch.full_like(weight, 1 / 8), weight)
+    rows = features.index_select(0, node.flatten()).unflatten(0, node.shape)       # (Q, 8, C)
+    return (rows * weight[..., None].to(rows.dtype)).sum(1), supported

@@ -1,0 +1,82 @@
+"""Saving and loading: safetensors weights beside a JSON card, packaged names offline, hub by mixin."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+from huggingface_hub import ModelHubMixin, hf_hub_download
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from riemlayer.config import FieldConfig
+
+WEIGHTS, CARD = "model.safetensors", "config.json"
+
+
+class Pretrained(ModelHubMixin, library_name="riemlayer", tags=["geometry"]):
+    """`from_pretrained`, `save_pretrained` and `push_to_hub`, by huggingface_hub's mixin."""
+
+    config: FieldConfig
+
+    @classmethod
+    def from_pretrained(cls, pretrained_model_name_or_path: str | Path, **kwargs: Any) -> Self:  # pyright: ignore
+        """A trained field: a packaged name such as "base" (offline), a directory, or a hub id.
+
+        Raises:
+            FileNotFoundError: a directory without weights.
+            ValueError: truncated weights, or weights of another configuration.
+
+        >>> from riemlayer import ExpLogField
+        >>> ExpLogField.from_pretrained("base").config.radius
+        0.5
+        """
+        packaged = resources.files("riemlayer") / "weights" / f"{pretrained_model_name_or_path}.safetensors"
+        if packaged.is_file():
+            with resources.as_file(packaged) as weights:
+                return cls._read(weights, weights.with_suffix(".json"))
+        return super().from_pretrained(pretrained_model_name_or_path, **kwargs)  # pyright: ignore
+
+    @classmethod
+    def _from_pretrained(cls, *, model_id: str, **kwargs: Any) -> Self:
+        folder = Path(model_id)
+        if folder.is_dir():
+            for name in (WEIGHTS, CARD):
+                if not (folder / name).is_file():
+                    raise FileNotFoundError(f"{folder} holds no {name}: not saved by save_pretrained")
+            return cls._read(folder / WEIGHTS, folder / CARD)
+        known = ("revision", "cache_dir", "force_download", "token", "local_files_only")
+        options = {k: kwargs[k] for k in known if k in kwargs}
+        files = [hf_hub_download(model_id, name, **options) for name in (WEIGHTS, CARD)]
+        return cls._read(Path(files[0]), Path(files[1]))
+
+    def _save_pretrained(self, save_directory: Path) -> None:
+        save_field(self, save_directory / WEIGHTS, save_directory / CARD)  # pyright: ignore
+
+    @classmethod
+    def _read(cls, weights: Path, card: Path) -> Self:
+        field = cls(FieldConfig.from_dict(json.loads(card.read_text())["config"]))  # pyright: ignore
+        try:
+            state = load_file(weights)
+        except (SafetensorError, OSError) as error:
+            raise ValueError(f"weights file {weights} is truncated or corrupt: {error}") from error
+        try:
+            field.load_state_dict({k: x.float() for k, x in state.items()})  # pyright: ignore
+        except RuntimeError as error:
+            raise ValueError(
+                f"weights {weights} do not fit the configuration in {card}: {error}"
+            ) from error
+        return field.eval()  # pyright: ignore
+
+
+def save_field(
+    field: torch.nn.Module, weights: Path, card: Path, dtype: torch.dtype | None = None,
+    **facts: Any,
+) -> None:
+    """Write the weights, as `dtype` where given, and a JSON card of configuration and `facts`."""
+    state = {k: x.detach().cpu().to(dtype or x.dtype).contiguous() for k, x in field.state_dict().items()}
+    save_file(state, weights)
+    card.write_text(json.dumps({"config": field.config.to_dict(), **facts}, indent=2) + "\n")  # pyright: ignore
