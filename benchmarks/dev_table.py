@@ -16,6 +16,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from zipfile import BadZipFile
 
 from benchmarks.evaluate import Shape, applies, evaluate, summarise
 from riemlayer.baselines import Heat, MeshHeat, MeshTracer, Neural, Projection, TrueLog, Walking
@@ -45,17 +46,20 @@ class Cache:
     """Results of the rivals in one JSON file, keyed by settings, sources and the shape's bytes."""
 
     def __init__(self, path: Path | None):
+        self.hits = 0
         self._path = path
         self._rows = json.loads(path.read_text()) if path and path.exists() else {}
 
     def get(self, key: str, compute: Callable[[], dict]) -> dict:
-        """The row of `key`, computed and written down when it is not known."""
-        if self._path is None:
-            return compute()
-        if key not in self._rows:
-            self._rows[key] = compute()
+        """The row of `key`, computed and, unless it failed, written down when it is not known."""
+        if key in self._rows:
+            self.hits += 1
+            return self._rows[key]
+        row = compute()
+        if self._path is not None and "failed" not in row:
+            self._rows[key] = row
             write_json(self._path, self._rows)
-        return self._rows[key]
+        return row
 
 
 def find_shapes(root: Path, groups: list[str] | None, limit: int | None) -> dict[str, list[Path]]:
@@ -86,7 +90,12 @@ def run(
         for name, m in methods.items()
     }
     for group, path in _progress(shapes):
-        shape, fingerprint = Shape.load(path, sources), zlib.crc32(path.read_bytes())
+        try:
+            shape, fingerprint = Shape.load(path, sources), zlib.crc32(path.read_bytes())
+        except (ValueError, OSError, EOFError, BadZipFile) as error:
+            for result in results.values():
+                result["failed"][f"{group}/{path.stem}"] = f"{type(error).__name__}: {error}"
+            continue
         for name, method in methods.items():
             if not applies(method, shape):
                 continue
@@ -161,17 +170,20 @@ def main(arguments: list[str] | None = None) -> None:
     if unknown := set(names) - set(known):
         parser.error(f"--methods must be among {', '.join(known)}; got {', '.join(unknown)}")
     groups = options.groups.split(",") if options.groups else None
+    cache = Cache(options.cache)
     results = run(
         find_shapes(options.directory, groups, options.limit),
         {name: known[name]() for name in names},
         options.sources,
-        Cache(options.cache),
+        cache,
     )
     for group in next(iter(results.values()))["groups"]:
         print(format_table(results, group), end="\n\n")
     for name, result in results.items():
         for shape, reason in result["failed"].items():
             print(f"FAILED {name} on {shape}: {reason}")
+    if cache.hits:
+        print(f"{cache.hits} rows, with the times of an earlier run, come from {options.cache}")
     if options.output:
         write_json(options.output, {"version": VERSION, "methods": results})
 

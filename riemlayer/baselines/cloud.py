@@ -69,9 +69,8 @@ def carry_over(points: Array, values: Array, tree, queries: Array, k: int) -> Ar
     spread, axes = np.linalg.eigh(moment)
     plane = axes[:, :, 1:]
     local = offset @ plane
-    at_query = ((queries - centre)[:, None] @ plane)[:, 0] / np.maximum(
-        spread[:, 1:], 1e-3 * spread[:, 2:]
-    )
+    spread = np.maximum(spread[:, 1:], 1e-3 * spread[:, 2:] + np.finfo(float).tiny)
+    at_query = ((queries - centre)[:, None] @ plane)[:, 0] / spread
     weight = weight * (1 + np.einsum("nki,ni->nk", local, at_query))
     result[away] = np.einsum("nk,nkc->nc", weight, values[index])
     return result
