@@ -3,7 +3,14 @@
 Needs the extra `viz` (pyvista) for pictures; the page needs nothing.
 """
 
-from riemlayer.viz.drawing import Drawing, View, checkerboard, tangent_coordinates, viewpoint
+from riemlayer.viz.drawing import (
+    Drawing,
+    View,
+    checkerboard,
+    tangent_coordinates,
+    tangent_frame,
+    viewpoint,
+)
 from riemlayer.viz.html import write_html
 from riemlayer.viz.png import write_png
 
@@ -12,6 +19,7 @@ __all__ = [
     "View",
     "checkerboard",
     "tangent_coordinates",
+    "tangent_frame",
     "viewpoint",
     "write_html",
     "write_png",

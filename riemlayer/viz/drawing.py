@@ -108,19 +108,24 @@ def viewpoint(points: Any, p: Any, normal: Any, tilt: float = 0.6) -> View:
     return View(centre, float(np.linalg.norm(points - centre, axis=1).max()), direction, up)
 
 
-def tangent_coordinates(log: Any, normal: Any) -> Array:
-    """Appendix A: ambient tangent vectors (N, 3) in a frame of the plane with this normal (3,).
+def tangent_frame(normal: Any) -> Array:
+    """Two orthonormal axes (2, 3) of the plane with this normal (3,); they depend on it alone."""
+    normal = _unit(to_numpy(normal, float))
+    axis = np.eye(3)[np.abs(normal).argmin()]
+    first = _unit(axis - (axis @ normal) * normal)
+    return np.stack([first, np.cross(normal, first)])
 
-    The frame depends on the normal alone, so maps of several methods can be laid side by side.
+
+def tangent_coordinates(log: Any, normal: Any) -> Array:
+    """Appendix A: ambient tangent vectors (N, 3) in the frame of the plane with this normal (3,).
+
+    All methods get the same frame, so their maps can be laid side by side.
 
     Example:
         >>> tangent_coordinates([[3.0, 4.0, 0.0]], [0.0, 0.0, 1.0]).round(6)
         array([[3., 4.]])
     """
-    log, normal = to_numpy(log, float), _unit(to_numpy(normal, float))
-    axis = np.eye(3)[np.abs(normal).argmin()]
-    first = _unit(axis - (axis @ normal) * normal)
-    return log @ np.stack([first, np.cross(normal, first)], axis=1)
+    return to_numpy(log, float) @ tangent_frame(normal).T
 
 
 def checkerboard(log: Any, period: float = 0.1, radius: float = 0.5) -> Array:
