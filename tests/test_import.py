@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 HEAVY = ["lightning", "trimesh", "potpourri3d", "gpytoolbox", "scipy", "skimage", "mesh2sdf"]
-HEAVY += ["manifold3d", "pyvista", "vtk", "matplotlib", "tqdm.auto", "lightning_modules"]
+HEAVY += ["manifold3d", "pyvista", "vtk", "matplotlib", "lightning_modules"]
 
 
 def run(code: str) -> str:
