@@ -53,8 +53,8 @@ def main() -> None:
         else:
             truth = shape_ground_truth(shape.vertices, shape.faces, 0, sources, queries)
             p, normal = truth["p"], truth["normal"]
-            print_table(name, shape, truth, args.weights)
-        best = most_exposed(shape.points, p, normal)
+            print_table(name, shape, truth, field)
+        best = most_in_view(shape.points, p, normal)
         drawings = draw(surface, shape, p[best], normal[best])
 
     view = viewpoint(shape.points, p[best], normal[best])
@@ -87,7 +87,7 @@ def load(path: Path | None, count: int) -> LoadedShape:
         sys.exit(f"quickstart: {error}")
 
 
-def print_table(name: str, shape: LoadedShape, truth: dict, weights: str) -> None:
+def print_table(name: str, shape: LoadedShape, truth: dict, field: ExpLogField) -> None:
     """Times and mean errors of every method on the same cloud, sources and geodesics."""
     valid = truth["complete"] & truth["shortest"] & (truth["divergence"] < RADIUS)
     sources, queries = valid.shape
@@ -99,7 +99,7 @@ def print_table(name: str, shape: LoadedShape, truth: dict, weights: str) -> Non
     log, exp = f"Log of {count:,}", f"Exp of {queries}"
     print(f"{'':26}{'set-up':>11}{log:>15}{'error':>9}{exp:>15}{'error':>9}")
     for label, method in {
-        "riemlayer": Neural(weights),
+        "riemlayer": Neural(field),
         "tangent projection": Projection(),
         "heat method on the cloud": Heat(),
         "tracing on the cloud": Walking(),
@@ -133,10 +133,12 @@ def cloud_sources(shape: LoadedShape, count: int) -> tuple[np.ndarray, np.ndarra
     return shape.points[index], Drawing(shape.points).normals[index]
 
 
-def most_exposed(points: np.ndarray, p: np.ndarray, normal: np.ndarray) -> int:
-    """The source with most of the shape on one side of it: it can be seen from outside."""
-    above = ((points - p[:, None]) * normal[:, None]).sum(-1) > 0
-    return int(np.abs(above.mean(1) - 0.5).argmax())
+def most_in_view(points: np.ndarray, p: np.ndarray, normal: np.ndarray) -> int:
+    """The source with much surface within reach, and most of the shape on one side of it."""
+    offset = points - p[:, None]
+    above = ((offset * normal[:, None]).sum(-1) > 0).mean(1)
+    within = (np.linalg.norm(offset, axis=-1) < RADIUS).mean(1)
+    return int((within * np.maximum(above, 1 - above)).argmax())
 
 
 def draw(surface: EncodedSurface, shape: LoadedShape, p: np.ndarray, normal: np.ndarray) -> list:

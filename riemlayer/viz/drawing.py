@@ -77,7 +77,7 @@ class View:
 
     Args:
         centre: (3,) middle of what is seen.
-        extent: radius of the ball that must be in the picture.
+        extent: radius of the ball about the centre that holds the shape.
         direction: (3,) unit vector from the centre to the eye.
         up: (3,) unit vector, orthogonal to `direction`.
     """
@@ -86,6 +86,8 @@ class View:
     extent: float
     direction: Array
     up: Array
+    fit: float
+    """Half the side of the square that holds the shape as seen from here."""
 
 
 def viewpoint(points: Any, p: Any, normal: Any, tilt: float = 0.6) -> View:
@@ -103,9 +105,14 @@ def viewpoint(points: Any, p: Any, normal: Any, tilt: float = 0.6) -> View:
     vertical = np.array([0.0, 1.0, 0.0]) if abs(normal[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
     right = _unit(np.cross(vertical, normal))
     direction = _unit(normal + tilt * (_unit(np.cross(normal, right)) + 0.7 * right))
-    up = _unit(vertical - (vertical @ direction) * direction)
-    centre = (points.min(0) + points.max(0)) / 2
-    return View(centre, float(np.linalg.norm(points - centre, axis=1).max()), direction, up)
+    right = _unit(np.cross(vertical, direction))
+    axes = np.stack([right, np.cross(direction, right), direction])
+    seen = points @ axes.T
+    centre = (seen.min(0) + seen.max(0)) / 2 @ axes
+    extent = np.linalg.norm(points - centre, axis=1).max()
+    return View(
+        centre, float(extent), direction, axes[1], float(np.ptp(seen[:, :2], axis=0).max() / 2)
+    )
 
 
 def tangent_frame(normal: Any) -> Array:

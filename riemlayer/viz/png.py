@@ -115,7 +115,7 @@ def _add_cloud(plotter, drawing: Drawing) -> None:
         cloud["colour"] = np.broadcast_to(PLAIN, drawing.points.shape)
     else:
         cloud["colour"] = checkerboard(drawing.log, drawing.period, drawing.radius)
-    disc = pyvista.Disc(inner=0, outer=0.75 * drawing.spacing, normal=(1, 0, 0), c_res=10)
+    disc = pyvista.Disc(inner=0, outer=drawing.spacing, normal=(1, 0, 0), c_res=10)
     discs = cloud.glyph(orient="normal", scale=False, geom=disc)
     plotter.add_mesh(discs, scalars="colour", rgb=True, lighting=True)
 
@@ -145,9 +145,9 @@ def _add_balls(plotter, centres: Array, radius: float, colour: tuple[float, ...]
 
 
 def _aim(camera, view: View) -> None:
-    distance = view.extent / np.sin(np.radians(VIEW_ANGLE / 2))
+    distance = max(1.25 * view.fit / np.tan(np.radians(VIEW_ANGLE / 2)), 1.2 * view.extent)
     camera.focal_point = view.centre
     camera.position = view.centre + distance * view.direction
     camera.up = view.up
     camera.view_angle = VIEW_ANGLE
-    camera.clipping_range = (distance - 1.5 * view.extent, distance + 1.5 * view.extent)
+    camera.clipping_range = (distance - 1.1 * view.extent, distance + 1.1 * view.extent)
