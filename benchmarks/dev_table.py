@@ -18,10 +18,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from zipfile import BadZipFile
 
-from benchmarks.evaluate import Shape, applies, evaluate, summarise
+from benchmarks.evaluate import Shape, applies, evaluate, pool, summarise
 from riemlayer.baselines import Heat, MeshHeat, MeshTracer, Neural, Projection, TrueLog, Walking
 
-VERSION = 1
+VERSION = 3
 METHODS: dict[str, Callable[[], object]] = {
     "heat": Heat,
     "projection": Projection,
@@ -36,6 +36,7 @@ COLUMNS = {
     "E_MDD": "mdd",
     "MDD<=1": "mdd_clip",
     "E_angle": "angle",
+    "angle T": "angle_true",
     "Log end": "log_end",
     "E_Exp": "exp",
 }
@@ -82,13 +83,15 @@ def run(
     """Evaluate every method on every shape; failures are kept with their reason.
 
     Returns:
-        {method: {"settings", "shapes": {group: {name: row}}, "groups": {group: mean row},
-        "failed": {"group/name": reason}}} with rows of `evaluate`.
+        {method: {"settings", "shapes": {group: {name: row}}, "groups": {group: row}, "failed":
+        {"group/name": reason}}}. Rows hold means over sources (of times the median), of one shape
+        or of all sources of the group; "shapes" of a group's row says how many it has.
     """
     results = {
-        name: {"settings": repr(m), "shapes": {g: {} for g in shapes}, "groups": {}, "failed": {}}
+        name: {"settings": repr(m), "shapes": {}, "groups": {}, "failed": {}}
         for name, m in methods.items()
     }
+    tables = {name: {group: {} for group in shapes} for name in methods}
     for group, path in _progress(shapes):
         try:
             shape, fingerprint = Shape.load(path, sources), zlib.crc32(path.read_bytes())
@@ -105,20 +108,13 @@ def run(
             if "failed" in row:
                 results[name]["failed"][f"{group}/{path.stem}"] = row["failed"]
             else:
-                results[name]["shapes"][group][path.stem] = row
-    for result in results.values():
-        result["groups"] = {g: group_mean(list(r.values())) for g, r in result["shapes"].items()}
+                tables[name][group][path.stem] = row
+    for name, groups in tables.items():
+        for group, rows in groups.items():
+            results[name]["shapes"][group] = {k: summarise(row) for k, row in rows.items()}
+            mean = summarise(pool(list(rows.values())))
+            results[name]["groups"][group] = mean | {"shapes": len(rows)}
     return results
-
-
-def group_mean(rows: list[dict]) -> dict:
-    """Mean over shapes of every entry; of times the median. A missing entry does not count."""
-    table: dict[str, dict[str, list[float]]] = {}
-    for row in rows:
-        for section, entries in row.items():
-            for key, value in entries.items():
-                table.setdefault(section, {}).setdefault(key, []).append(value)
-    return summarise(table) | {"shapes": len(rows)}
 
 
 def format_table(results: dict, group: str) -> str:
@@ -165,7 +161,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--cache", type=Path, help="JSON file that keeps the rivals' numbers")
     parser.add_argument("-o", "--output", type=Path, help="JSON file for every number")
     options = parser.parse_args(arguments)
-    known = METHODS | {"base": lambda: Neural(options.weights)}
+    known = METHODS | {"base": lambda: Neural.from_pretrained(options.weights)}
     names = options.methods.split(",")
     if unknown := set(names) - set(known):
         parser.error(f"--methods must be among {', '.join(known)}; got {', '.join(unknown)}")

@@ -14,6 +14,7 @@ from riemlayer import metrics
 from riemlayer.baselines import SupportsExp, SupportsLog, SupportsMesh, SupportsPoints, TrueLog
 
 Array = np.ndarray
+Table = dict[str, dict[str, list[float]]]
 RADII = (0.5, 0.25, 0.1)
 COLLAPSED = 1e3  # what an edge of no length counts in E_MDD, which is infinite as printed
 BINS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
@@ -80,15 +81,17 @@ def applies(method: object, shape: Shape) -> bool:
     return not isinstance(method, SupportsMesh) or np.array_equal(shape.points, shape.V)
 
 
-def evaluate(method: object, shape: Shape) -> dict[str, dict[str, float]]:
-    """Mean over the sources of every metric of `method` on `shape`, and median times (seconds).
+def evaluate(method: object, shape: Shape) -> Table:
+    """Every metric of `method` on `shape`, one number a source, and the times in seconds.
 
     Returns:
-        {"r0.5": {"mdd", "mdd_clip", "angle", "log_end", "exp"}, ... (one entry a mask),
+        {"r0.5": {"mdd", "mdd_clip", "angle", "mdd_true", "mdd_clip_true", "angle_true", "log_end",
+        "exp"}, ... (one entry a mask; `_true` is measured in the true tangent plane, the others in
+        the plane of the method's own answers),
         "exp_by_length": {"0-0.1": ...}, "relative_by_length": ..., "at_p": {"log_zero",
         "log_differential", "exp_zero", "exp_differential"}, "time": {"prepare", "log", "exp"}}.
         A map that the method lacks has no entries; a source whose mask holds no edge, triangle or
-        end point is left out of the mean of what is measured on these.
+        end point gives no number for what is measured on these.
 
     Raises:
         ValueError: an answer is not finite where it counts.
@@ -99,14 +102,24 @@ def evaluate(method: object, shape: Shape) -> dict[str, dict[str, float]]:
             rows += _log_rows(method, shape, s)
         if isinstance(method, SupportsExp):
             rows += _exp_rows(method, shape, s)
-    table: dict[str, dict[str, list[float]]] = {}
+    table: Table = {}
     for section, name, value in rows:
         table.setdefault(section, {}).setdefault(name, []).append(value)
-    return summarise(table)
+    return table
 
 
-def summarise(table: dict[str, dict[str, list[float]]]) -> dict[str, dict[str, float]]:
-    """Mean of every list of numbers; the median of times."""
+def pool(tables: list[Table]) -> Table:
+    """The numbers of several shapes side by side, so that every source weighs the same."""
+    pooled: Table = {}
+    for table in tables:
+        for section, row in table.items():
+            for name, values in row.items():
+                pooled.setdefault(section, {}).setdefault(name, []).extend(values)
+    return pooled
+
+
+def summarise(table: Table) -> dict[str, dict[str, float]]:
+    """Mean over the sources of every metric; the median of times."""
     return {
         section: {
             key: float(np.median(x) if section == "time" else np.mean(x)) for key, x in row.items()
@@ -130,22 +143,36 @@ def _log_rows(method: SupportsLog, shape: Shape, s: int) -> list[tuple[str, str,
     p, n = shape.V[shape.src[s]], len(shape.V)
     log, seconds = _timed(method.log, p, shape.V)
     at_end = _answer(method.log(p, shape.end[s]), shape.end[s].shape)
-    log = _answer(log, (n, 3))
-    V, F, v = map(torch.from_numpy, (shape.V, shape.F, shape.vec[s]))
+    log, masks = _answer(log, (n, 3)), shape.masks(s)
     rows = [("time", "log", seconds)]
-    for section, (vertices, ends) in shape.masks(s).items():
-        distortion = metrics.edge_distortion(V, F, log, torch.from_numpy(vertices))
-        if len(distortion):
-            rows.append((section, "mdd", float(distortion.clamp(max=COLLAPSED).mean())))
-            rows.append((section, "mdd_clip", float(distortion.clamp(max=1).mean())))
-        if vertices[shape.F].all(-1).any():
-            rows.append((section, "angle", float(metrics.angle_error(V, F, log, vertices))))
+    if shape.valid[s].any():
+        own = metrics.in_plane(log, shape.valid[s])
+        true = metrics.in_plane(log, shape.valid[s], shape.src_normal[s])
+        for section, (vertices, _) in masks.items():
+            rows += [(section, k, x) for k, x in _distortion(shape, own, vertices).items()]
+            rows += [
+                (section, f"{k}_true", x) for k, x in _distortion(shape, true, vertices).items()
+            ]
+    for section, (_, ends) in masks.items():
         if ends.any():
-            rows.append((section, "log_end", float(metrics.log_end_error(v, at_end, ends))))
+            error = metrics.log_end_error(shape.vec[s], at_end, ends)
+            rows.append((section, "log_end", float(error)))
     frame = tangent_frame(shape.src_normal[s])
     differential = metrics.log_differential_error(method.log, p, frame)
     rows.append(("at_p", "log_zero", float(metrics.log_zero_error(method.log, p))))
     return [*rows, ("at_p", "log_differential", float(differential))]
+
+
+def _distortion(shape: Shape, log: torch.Tensor, valid: Array) -> dict[str, float]:
+    """Eq. (5) and E_MDD of one mask, where it holds a triangle and an edge."""
+    row = {}
+    edges = metrics.edge_distortion(shape.V, shape.F, log, valid)
+    if len(edges):
+        row["mdd"] = float(edges.clamp(max=COLLAPSED).mean())
+        row["mdd_clip"] = float(edges.clamp(max=1).mean())
+    if valid[shape.F].all(-1).any():
+        row["angle"] = float(metrics.angle_error(shape.V, shape.F, log, valid))
+    return row
 
 
 def _exp_rows(method: SupportsExp, shape: Shape, s: int) -> list[tuple[str, str, float]]:

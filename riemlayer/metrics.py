@@ -2,8 +2,10 @@
 
 Every function takes tensors or numpy arrays and returns a tensor.
 Vertices V (n, 3), faces F (m, 3); `log` holds one tangent vector a vertex, (n, 2) in a frame
-or (n, 3) ambient: lengths and angles are the same in both. `valid` (n,) bool picks the vertices
-that count; a triangle or an edge counts when all of its vertices do.
+or (n, 3) ambient: lengths and angles are the same in both. Ambient vectors must lie in one plane,
+as tangent vectors do (Log_p(q) = q - p would score a perfect 0); `in_plane` sees to that.
+`valid` (n,) bool picks the vertices that count; a triangle or an edge counts when all of its
+vertices do.
 No function returns NaN: what is undefined raises a ValueError that says so.
 """
 
@@ -105,6 +107,29 @@ def edge_distortion(vertices: Values, faces: Values, log: Values, valid: Values)
     return (length / torch.where(unchanged, 1, tangent) - 1).abs().masked_fill(unchanged, 0)
 
 
+def in_plane(log: Values, valid: Values, normal: Values | None = None) -> Tensor:
+    """Ambient vectors (n, 3) of one source without their part along the plane's normal (ours).
+
+    Args:
+        log: (n, 3) ambient tangent vectors.
+        valid: (n,) bool, the rows that decide about the plane; they must be finite.
+        normal: (3,) unit normal at the source; by default that of the plane which holds most of
+            the vectors themselves, so that planar answers stay as they are.
+
+    Example:
+        >>> log = torch.tensor([[1.0, 0, 0.1], [0, 1, 0], [0, 0, 0]])
+        >>> in_plane(log, torch.ones(3, dtype=torch.bool), torch.tensor([0.0, 0, 1]))[0]
+        tensor([1., 0., 0.])
+    """
+    log = torch.as_tensor(log)
+    if normal is None:
+        rows = log[torch.as_tensor(valid)]
+        check_finite("log", rows)
+        normal = torch.linalg.eigh(rows.mT @ rows).eigenvectors[:, 0]
+    normal = torch.as_tensor(normal, dtype=log.dtype)
+    return log - (log @ normal)[:, None] * normal
+
+
 def exp_error(q: Values, prediction: Values, valid: Values | None = None) -> Tensor:
     """Eq. (6): mean |q - prediction| over the valid end points.
 
@@ -126,15 +151,8 @@ def exp_error(q: Values, prediction: Values, valid: Values | None = None) -> Ten
 def log_end_error(v: Values, prediction: Values, valid: Values | None = None) -> Tensor:
     """Mean |Log_p(Exp_p(v)) - v|, the Log error at traced end points (ours).
 
-    Unlike Eq. (5) and E_MDD a perfect method reaches 0 on every surface.
-
-    Args:
-        v: (..., 3) the vectors that were traced.
-        prediction: (..., 3) Log_p at the end points of `v`.
-        valid: (...) bool; all when None.
-
-    Raises:
-        ValueError: nothing is valid, or a valid prediction is not finite.
+    Unlike Eq. (5) and E_MDD a perfect method reaches 0 on every surface. `v` and `prediction` are
+    (..., 3); `valid` and what is raised are as for `exp_error`.
 
     Example:
         >>> log_end_error(torch.tensor([[1.0, 0, 0]]), torch.tensor([[0.0, 0, 0]])).item()
@@ -174,10 +192,7 @@ def mean_by_length(error: Values, length: Values, bounds: Values) -> tuple[Tenso
 def zero_point_errors(exp: Map, log: Map, p: Values) -> tuple[Tensor, Tensor]:
     """Eq. (11): |Exp_p(0) - p| and |Log_p(p)| at one source.
 
-    Args:
-        exp: maps p (3,), v (K, 3) to end points (K, 3).
-        log: maps p (3,), q (K, 3) to vectors (K, 3).
-        p: (3,) source.
+    `exp` maps p (3,), v (K, 3) to end points (K, 3), `log` p (3,), q (K, 3) to vectors (K, 3).
 
     Example:
         >>> zero_point_errors(lambda p, v: p + v, lambda p, q: q - p, torch.ones(3))
@@ -189,13 +204,13 @@ def zero_point_errors(exp: Map, log: Map, p: Values) -> tuple[Tensor, Tensor]:
 def exp_zero_error(exp: Map, p: Values) -> Tensor:
     """Eq. (11), left: |Exp_p(0) - p|; arguments as in `zero_point_errors`."""
     p = torch.as_tensor(p)
-    return (torch.as_tensor(exp(p, p.new_zeros(1, 3)))[0] - p).norm()
+    return _mean_distance(p[None], exp(p, p.new_zeros(1, 3)), None)
 
 
 def log_zero_error(log: Map, p: Values) -> Tensor:
     """Eq. (11), right: |Log_p(p)|; arguments as in `zero_point_errors`."""
     p = torch.as_tensor(p)
-    return torch.as_tensor(log(p, p[None]))[0].norm()
+    return _mean_distance(p.new_zeros(1, 3), log(p, p[None]), None)
 
 
 def differential_errors(
@@ -208,9 +223,7 @@ def differential_errors(
     in a central difference the two departures cancel.
 
     Args:
-        exp: maps p (3,), v (K, 3) to end points (K, 3).
-        log: maps p (3,), q (K, 3) to vectors (K, 3).
-        p: (3,) source.
+        exp, log, p: as for `zero_point_errors`.
         frame: (3, 2) orthonormal tangent axes at p, as columns.
         step: length of the difference, in the unit of p.
 
@@ -240,6 +253,7 @@ def log_differential_error(log: Map, p: Values, frame: Values, step: float = 0.0
 def _distance_to_identity(values: Values, frame: Tensor, step: float) -> Tensor:
     """|D - I|_F of the 2x2 central difference D of the values at +axes, -axes (4, 3)."""
     values = torch.as_tensor(values, dtype=frame.dtype)
+    check_finite("values", values)
     differential = frame.T @ ((values[:2] - values[2:]) / (2 * step)).T
     return (differential - torch.eye(2, dtype=frame.dtype, device=frame.device)).norm()
 
@@ -247,10 +261,8 @@ def _distance_to_identity(values: Values, frame: Tensor, step: float) -> Tensor:
 def _mean_distance(truth: Values, prediction: Values, valid: Values | None) -> Tensor:
     """Mean |truth - prediction| over valid rows."""
     truth, prediction = torch.as_tensor(truth), torch.as_tensor(prediction)
-    _demand(
-        truth.shape == prediction.shape,
-        f"prediction must have shape {tuple(truth.shape)}, got {tuple(prediction.shape)}",
-    )
+    got, expected = tuple(prediction.shape), tuple(truth.shape)
+    _demand(got == expected, f"prediction must have shape {expected}, got {got}")
     if valid is not None:
         truth, prediction = truth[torch.as_tensor(valid)], prediction[torch.as_tensor(valid)]
     _demand(truth.numel() > 0, "valid leaves no row to measure; widen the mask or the radius")
@@ -276,10 +288,8 @@ def _corner_angles(corners: Tensor) -> Tensor:
 def _space(log: Values) -> Tensor:
     """Tangent vectors of 2 coordinates padded to 3."""
     log = torch.as_tensor(log)
-    _demand(
-        log.ndim == 2 and log.shape[1] in (2, 3),
-        f"log must have shape (n, 2) or (n, 3), got {tuple(log.shape)}",
-    )
+    good = log.ndim == 2 and log.shape[1] in (2, 3)
+    _demand(good, f"log must have shape (n, 2) or (n, 3), got {tuple(log.shape)}")
     return torch.nn.functional.pad(log, (0, 3 - log.shape[1]))
 
 

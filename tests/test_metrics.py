@@ -104,6 +104,16 @@ def test_a_scaled_log_keeps_angles_and_scales_lengths():
     assert metrics.distance_distortion(V, F, 0.5 * V, valid).item() == 1
 
 
+def test_in_plane_leaves_planar_vectors_and_takes_the_rest_off():
+    axes = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64))[0]
+    planar, valid = torch.randn(50, 2, dtype=torch.float64) @ axes[:2], torch.rand(50) < 0.9
+    torch.testing.assert_close(metrics.in_plane(planar, valid), planar)
+    lifted = planar + 0.3 * axes[2]
+    torch.testing.assert_close(metrics.in_plane(lifted, valid, axes[2]), planar)
+    with pytest.raises(ValueError, match="`log` must be finite"):
+        metrics.in_plane(planar * torch.nan, valid)
+
+
 def test_numpy_arrays_will_do():
     V, F = grid()
     valid = torch.rand(len(V)) < 0.8

@@ -2,33 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from riemlayer.baselines.cloud import Array
 
+if TYPE_CHECKING:
+    from riemlayer.field import ExpLogField
 
-@dataclass
+
 class Neural:
-    """Exp and Log of an `ExpLogField`, one encode a cloud.
+    """Exp and Log of an `ExpLogField`, one encode a cloud, without gradients.
 
     Args:
-        weights: name or path given to `ExpLogField.from_pretrained`.
+        field: the field; it is asked in evaluation mode and left in the mode it was in.
+        name: what `repr` shows, such as the file its weights came from.
     """
 
-    weights: str = "base"
+    def __init__(self, field: ExpLogField, name: str = "field"):
+        self._field, self._name = field, name
 
-    def __post_init__(self) -> None:
+    @classmethod
+    def from_pretrained(cls, weights: str) -> Neural:
+        """The field of a name or path that `ExpLogField.from_pretrained` knows."""
         from riemlayer import ExpLogField
 
-        self._field = ExpLogField.from_pretrained(self.weights).eval()
+        return cls(ExpLogField.from_pretrained(weights), weights)
+
+    def __repr__(self) -> str:
+        return f"Neural({self._name!r})"
 
     @torch.inference_mode()
     def prepare(self, points: Array) -> None:
         """Encode the cloud (N, 3)."""
-        self._surface = self._field.encode(_tensor(points))
+        training = self._field.training
+        try:
+            self._surface = self._field.eval().encode(_tensor(points))
+        finally:
+            self._field.train(training)
 
     @torch.inference_mode()
     def exp(self, p: Array, v: Array) -> Array:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks import dev_table
-from benchmarks.dev_table import Cache, find_shapes, group_mean, run
-from benchmarks.evaluate import Shape, evaluate, tangent_frame
+from benchmarks.dev_table import Cache, find_shapes, run
+from benchmarks.evaluate import Shape, evaluate, pool, summarise, tangent_frame
 from riemlayer.baselines import MeshTracer, TrueLog
 
 
@@ -70,6 +70,10 @@ def flat_shape(n: int = 33) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
+def means(method: object, shape: Shape) -> dict[str, dict[str, float]]:
+    return summarise(evaluate(method, shape))
+
+
 @pytest.fixture
 def directory(tmp_path: Path) -> Path:
     """Two groups; the clouds of `loose` are not the vertices of its mesh."""
@@ -82,11 +86,12 @@ def directory(tmp_path: Path) -> Path:
 
 
 def test_the_truth_scores_zero_on_a_plane(directory):
-    row = evaluate(Straight(), Shape.load(directory / "flat" / "a.npz"))
-    floor = evaluate(TrueLog(), Shape.load(directory / "flat" / "a.npz"))
+    row = means(Straight(), Shape.load(directory / "flat" / "a.npz"))
+    floor = means(TrueLog(), Shape.load(directory / "flat" / "a.npz"))
     for section in ("r0.5", "r0.25", "r0.1", "r0.5_tight", "r0.25_tight", "r0.1_tight"):
-        assert set(row[section]) == {"mdd", "mdd_clip", "angle", "log_end", "exp"}
-        for name in ("mdd", "mdd_clip", "angle"):
+        distortions = {f"{name}{x}" for name in ("mdd", "mdd_clip", "angle") for x in ("", "_true")}
+        assert set(row[section]) == distortions | {"log_end", "exp"}
+        for name in distortions:
             assert row[section][name] == floor[section][name] == 0
         assert row[section]["log_end"] < 1e-7 and row[section]["exp"] == 0
     assert row["at_p"]["log_zero"] == row["at_p"]["exp_zero"] == 0
@@ -95,10 +100,21 @@ def test_the_truth_scores_zero_on_a_plane(directory):
 
 
 def test_a_known_error_comes_out_and_a_missing_map_has_no_numbers(directory):
-    row = evaluate(LogOnly(), Shape.load(directory / "flat" / "a.npz"))
+    row = means(LogOnly(), Shape.load(directory / "flat" / "a.npz"))
     assert row["r0.5"]["mdd"] == row["r0.5"]["mdd_clip"] == 0.5
     assert row["r0.5"]["angle"] == pytest.approx(0, abs=1e-3)
     assert "exp" not in row["r0.5"] and "exp" not in row["time"]
+
+
+def test_a_log_that_leaves_the_tangent_plane_is_found_out():
+    """On a bent sheet q - p keeps every length and angle, but it is no tangent vector."""
+    arrays = flat_shape()
+    V = arrays["V"].copy()
+    V[:, 2] = np.abs(V[:, 0])
+    shape = Shape(**arrays | {"V": V, "points": V})
+    row = means(Straight(), shape)["r0.5"]
+    assert row["angle"] > 5 and row["mdd_clip"] > 0.1
+    assert row["angle_true"] > 5 and row["mdd_clip_true"] > 0.1
 
 
 def test_errors_by_length_add_up(directory):
@@ -106,7 +122,7 @@ def test_errors_by_length_add_up(directory):
         def exp(self, p, v):
             return np.asarray(p) + 0.9 * np.asarray(v)
 
-    row = evaluate(Short(), Shape.load(directory / "flat" / "a.npz"))
+    row = means(Short(), Shape.load(directory / "flat" / "a.npz"))
     assert all(x == pytest.approx(0.1, rel=1e-3) for x in row["relative_by_length"].values())
     assert 0.02 < row["exp_by_length"]["0.2-0.3"] < 0.03
 
@@ -127,7 +143,7 @@ def test_a_source_that_has_nothing_to_measure_is_left_out():
     arrays["valid"] = arrays["valid"].copy()
     arrays["valid"][1] = False
     one = {k: x if k in ("V", "F", "points") else x[:1] for k, x in arrays.items()}
-    both, first = evaluate(LogOnly(), Shape(**arrays)), evaluate(LogOnly(), Shape(**one))
+    both, first = means(LogOnly(), Shape(**arrays)), means(LogOnly(), Shape(**one))
     assert both["r0.5"]["mdd"] == first["r0.5"]["mdd"]
 
 
@@ -161,14 +177,13 @@ def test_the_cache_is_asked_before_the_rival(directory, tmp_path):
     assert third.prepared == 1
 
 
-def test_group_means_count_only_what_is_there():
-    rows = [
-        {"r0.5": {"mdd": 1.0, "exp": 4.0}, "time": {"log": 1.0}},
-        {"r0.5": {"mdd": 3.0}, "time": {"log": 2.0}},
-        {"r0.5": {"mdd": 2.0}, "time": {"log": 9.0}},
+def test_every_source_of_a_group_weighs_the_same():
+    tables = [
+        {"r0.5": {"mdd": [1.0, 3.0], "exp": [4.0]}, "time": {"log": [1.0, 2.0]}},
+        {"r0.5": {"mdd": [8.0]}, "time": {"log": [9.0]}},
     ]
-    mean = group_mean(rows)
-    assert mean == {"r0.5": {"mdd": 2.0, "exp": 4.0}, "time": {"log": 2.0}, "shapes": 3}
+    mean = summarise(pool(tables))
+    assert mean == {"r0.5": {"mdd": 4.0, "exp": 4.0}, "time": {"log": 2.0}}
 
 
 def test_the_command_prints_a_table_and_writes_json(directory, tmp_path, capsys):
