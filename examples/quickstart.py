@@ -153,7 +153,7 @@ def draw(surface: EncodedSurface, shape: LoadedShape, p: np.ndarray, normal: np.
     log = torch.where(info.validity[:, None] > 0.5, log, 10 * RADIUS)
 
     def checkered(values, title: str) -> Drawing:
-        away = np.linalg.norm(canvas - p, axis=1) > RADIUS  # then the geodesic is longer still
+        away = np.linalg.norm(canvas - p, axis=1) > 1.1 * RADIUS  # and the geodesic is longer still
         flat = np.where(away[:, None], 10 * RADIUS, tangent_coordinates(values, normal))
         return Drawing(canvas, shape.faces, log=flat, p=p, radius=RADIUS, title=title)
 
