@@ -1,4 +1,4 @@
-"""Animals as smooth limbs: quadrupeds, birds, fish, insects and scorpions, tentacled creatures.
+"""Animals as smooth limbs: quadrupeds, birds and fish.
 
 x is left to right, -y forward, z up.
 """
@@ -7,7 +7,12 @@ import numpy as np
 
 from riemlayer.data.procedural.figures import facing, rotation, unit
 from riemlayer.data.procedural.sculpture import Sculpture
-from riemlayer.data.procedural.solids import Rng, chance, pick, smooth_curve
+from riemlayer.data.procedural.solids import (
+    Rng,
+    chance,
+    pick,
+    smooth_curve,
+)
 
 
 def quadruped(rng: Rng) -> Sculpture:
@@ -26,11 +31,15 @@ def quadruped(rng: Rng) -> Sculpture:
             free = rng.normal(0, 0.35) + (pitch if root is chest else 0.0)
             hoof(rng, clay, root, s, girth, tall, free, knee_side)
     skull = snout(rng, clay, chest, girth, frame)
-    tail(rng, clay, hips + (0, girth * 0.7, 0), girth)
+    tail(rng, clay, np.add(hips, (0, girth * 0.7, 0)), girth)
     if chance(rng, 0.1):
-        back = [hips + (0, 0, girth), middle + (0, 0, girth * 1.3), chest + (0, 0, girth)]
+        back = [
+            np.add(hips, (0, 0, girth)),
+            np.add(middle, (0, 0, girth * 1.3)),
+            np.add(chest, (0, 0, girth)),
+        ]
         for at in smooth_curve(back, int(rng.integers(4, 9))):
-            clay.cone(at, at + (0, 0.05, rng.uniform(0.1, 0.25)), 0.05, 0.02, blend=0.02)
+            clay.cone(at, np.add(at, (0, 0.05, rng.uniform(0.1, 0.25))), 0.05, 0.02, blend=0.02)
     if chance(rng, 0.15):
         clay.ball((chest + skull) / 2, girth * rng.uniform(1.1, 1.5))
     if chance(rng, 0.4):
@@ -48,7 +57,9 @@ def hoof(rng, clay, root, side, girth, tall, swing, knee_side) -> None:
     ankle = knee + 0.5 * tall * (rotation((1, 0, 0), bend) @ down)
     clay.chain([hip, knee, ankle], [r * 1.7, r * 1.05, r * 0.85])
     clay.ball(
-        ankle + (0, -0.6 * r, 0), np.array([1.1, 1.5, 0.8]) * r * rng.uniform(0.9, 1.3), blend=0.03
+        np.add(ankle, (0, -0.6 * r, 0)),
+        np.array([1.1, 1.5, 0.8]) * r * rng.uniform(0.9, 1.3),
+        blend=0.03,
     )
 
 
@@ -69,7 +80,7 @@ def snout(rng: Rng, clay: Sculpture, chest, girth: float, frame) -> np.ndarray:
         size * rng.uniform(0.25, 0.5),
     )
     if chance(rng, 0.3):
-        jaw = unit(look + (0, 0, -0.5))
+        jaw = unit(np.add(look, (0, 0, -0.5)))
         clay.cone(skull, skull + (0.5 * size + long) * jaw, size * 0.35, size * 0.22, blend=0.02)
     if chance(rng, 0.1):
         path = [
@@ -156,7 +167,7 @@ def bird(rng: Rng) -> Sculpture:
     fan = frame @ unit([0, 1, rng.uniform(-0.2, 0.5)])
     clay.ball(frame @ (0, 0.5, 0) + 0.25 * fan, (rng.uniform(0.1, 0.3), 0.035, 0.3), facing(fan))
     if chance(rng, 0.2):
-        clay.cone(skull + (0, 0, size), skull + (0, 0.15, size + 0.15), 0.06, 0.03)
+        clay.cone(np.add(skull, (0, 0, size)), np.add(skull, (0, 0.15, size + 0.15)), 0.06, 0.03)
     return clay
 
 
@@ -177,7 +188,9 @@ def wing(rng, clay, side, fat, frame, spread) -> None:
 def stand(rng, clay, side, fat) -> None:
     """A thin leg with toes."""
     hip = np.array([side * fat * 0.45, 0.05, -fat * 0.6])
-    foot = hip + (side * rng.uniform(0, 0.1), rng.uniform(-0.1, 0.1), -rng.uniform(0.15, 0.6))
+    foot = np.add(
+        hip, (side * rng.uniform(0, 0.1), rng.uniform(-0.1, 0.1), -rng.uniform(0.15, 0.6))
+    )
     clay.cone(hip, foot, 0.06, 0.035)
     for angle in (-0.5, 0.0, 0.5):
         clay.cone(
@@ -226,90 +239,4 @@ def fish(rng: Rng) -> Sculpture:
         clay.cone((bend, -1.3, -0.05), (bend, -0.7, -0.05), 0.12, 0.1, removes=True)
     for s in (-1, 1):
         clay.ball((s * wide * 0.55, -0.75, 0.08), 0.07, blend=0.02)
-    return clay
-
-
-def insect(rng: Rng) -> Sculpture:
-    """An insect, spider, crab, lobster or scorpion: segments and many thin legs."""
-    clay = Sculpture(rng.uniform(0.02, 0.05))
-    count, pairs = int(rng.integers(2, 6)), int(rng.integers(3, 6))
-    sizes = rng.uniform(0.12, 0.32, count)
-    y = np.cumsum(sizes * 1.3) - sizes[0]
-    wide = rng.uniform(0.8, 1.6)
-    for i in range(count):
-        clay.ball((0, y[i], 0), sizes[i] * np.array([wide, 1.1, rng.uniform(0.5, 0.9)]))
-    reach, rise = rng.uniform(0.4, 1.0), rng.uniform(0.0, 0.45)
-    r = rng.uniform(0.03, 0.05)
-    for i in range(pairs):
-        at = y[0] + (i + 0.5) / pairs * (y[-1] - y[0]) * rng.uniform(0.7, 1)
-        sweep = (i / max(pairs - 1, 1) - 0.5) * rng.uniform(0.8, 2)
-        for s in (-1, 1):
-            wiggle = sweep + rng.normal(0, 0.15)
-            out = np.array([s * np.cos(wiggle), np.sin(wiggle), 0])
-            root = np.array([s * 0.1, at, 0])
-            knee = root + (0.15 + 0.45 * reach) * out + (0, 0, rise)
-            foot = root + (0.15 + reach) * out + (0, 0, -rng.uniform(0.1, 0.35))
-            clay.chain(
-                [root, knee, (knee + foot) / 2 + 0.08 * out, foot], [r * 1.4, r * 1.1, r, r * 0.8]
-            )
-    front = np.array([0, -sizes[0], 0])
-    if chance(rng, 0.55):
-        claws(rng, clay, front, sizes[0])
-    if chance(rng, 0.45):
-        start, steps = np.array([0, y[-1] + sizes[-1] * 0.7, 0]), 8
-        curl, aim = rng.uniform(0.1, 0.45), np.array([0, 1.0, 0])
-        path = [start]
-        for _ in range(steps):
-            aim = rotation((1, 0, 0), curl) @ aim
-            path.append(path[-1] + rng.uniform(0.11, 0.17) * aim)
-        for a in path:
-            clay.ball(a, rng.uniform(0.06, 0.09), blend=0.02)
-        clay.chain(path, np.linspace(0.09, 0.05, steps + 1))
-        clay.cone(path[-1], path[-1] + 0.15 * (rotation((1, 0, 0), 0.8) @ aim), 0.07, 0.03)
-    for s in (-1, 1):
-        if chance(rng, 0.35):
-            tip = front + (s * rng.uniform(0.1, 0.5), -rng.uniform(0.3, 0.8), rng.uniform(0, 0.5))
-            clay.chain(smooth_curve([front, (front + tip) / 2 + (0, 0, 0.1), tip], 5), 0.03)
-        if pairs == 3 and chance(rng, 0.4):
-            aim = unit([s, rng.uniform(0, 1), 0.2])
-            clay.ball((0, y[0], 0.15) + 0.4 * aim, (0.035, 0.2, 0.45), facing(aim, (0, 1, 0)))
-    return clay
-
-
-def claws(rng: Rng, clay: Sculpture, front, size: float) -> None:
-    """Two arms with pincers."""
-    long, grip = rng.uniform(0.3, 0.7), rng.uniform(0.12, 0.3)
-    for s in (-1, 1):
-        elbow = front + (s * (size + 0.5 * long), 0.0 + rng.normal(0, 0.1), 0.1)
-        wrist = elbow + long * unit([s * rng.uniform(-0.4, 0.4), -1, 0])
-        clay.chain([front, elbow, wrist], [0.06, 0.055, 0.06])
-        aim = unit([rng.normal(0, 0.3), -1, 0])
-        clay.ball(wrist + grip * 0.5 * aim, (grip * 0.55, grip * 0.8, grip * 0.35))
-        for t in (-1, 1):
-            middle = wrist + grip * (1.1 * aim + (t * 0.6, 0, 0))
-            clay.chain(
-                [wrist + grip * aim, middle, wrist + grip * (2 * aim + (t * 0.12, 0, 0))],
-                [0.06, 0.05, 0.03],
-                blend=0.01,
-            )
-
-
-def tentacles(rng: Rng) -> Sculpture:
-    """A starfish, octopus, jellyfish, snake, worm or coral-like creature."""
-    clay = Sculpture(rng.uniform(0.04, 0.1))
-    arms = int(rng.integers(1, 10))
-    size = rng.uniform(0.2, 0.4)
-    if arms > 2:
-        clay.ball((0, 0, 0.1), (size, size, rng.uniform(0.15, 0.6)))
-    long, steps, curl = rng.uniform(0.8, 1.6) * (2.5 if arms == 1 else 1), 12, rng.uniform(0, 0.35)
-    sink = rng.uniform(-0.4, 0.2)
-    for i in range(arms):
-        angle = 2 * np.pi * (i + rng.uniform(-0.15, 0.15)) / arms
-        aim = unit([np.cos(angle), np.sin(angle), sink])
-        path = [0.5 * size * aim]
-        phase, turn = rng.uniform(0, 6.3), rng.normal(size=3)
-        for j in range(steps):
-            aim = rotation(turn + (0, 0, 0.01), curl * np.sin(phase + 0.7 * j)) @ aim
-            path.append(path[-1] + long / steps * aim)
-        clay.chain(path, np.linspace(rng.uniform(0.1, 0.18), rng.uniform(0.04, 0.09), steps + 1))
     return clay

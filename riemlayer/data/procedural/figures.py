@@ -30,7 +30,7 @@ def facing(direction, up=(0, 0, 1)) -> np.ndarray:
 
 
 def humanoid(rng: Rng) -> Sculpture:
-    """A person, child, doll or robot-like figure with articulated limbs, standing, running, sitting."""
+    """A person, child or doll with articulated limbs: standing, running, sitting, spread."""
     clay = Sculpture(rng.uniform(0.03, 0.1))
     wide, fat, childish = (
         rng.uniform(0.8, 1.3),
@@ -170,7 +170,7 @@ def leg(rng, clay, side, wide, fat, shrink, pose, robotic) -> None:
         knee + 0.08 * shin + (0, 0.02, 0), knee + 0.2 * shin + (0, 0.02, 0), r * 0.65, r * 0.5
     )
     toe = rotation((1, 0, 0), -np.pi / 2 + rng.normal(0, 0.2)) @ shin
-    toe = unit(toe + (side * rng.uniform(0, 0.5), 0, 0))
+    toe = unit(np.add(toe, (side * rng.uniform(0, 0.5), 0, 0)))
     size = rng.uniform(0.9, 1.6) if robotic else rng.uniform(0.8, 1.15)
     heel = ankle + 0.035 * shin
     clay.cone(
@@ -181,7 +181,7 @@ def leg(rng, clay, side, wide, fat, shrink, pose, robotic) -> None:
 
 
 def hand(rng: Rng) -> Sculpture:
-    """A large hand with curled or spread fingers on a forearm; sometimes a cartoon glove or a claw."""
+    """A large hand with curled or spread fingers on a forearm, or a three-fingered claw."""
     clay = Sculpture(rng.uniform(0.04, 0.12))
     slim, count = rng.uniform(0.8, 1.25), int(pick(rng, 4, 4, 4, 3, 5))
     clay.block((0, 0, 0), (0.42, 0.13 * slim, 0.45), round_=0.12)
@@ -233,7 +233,7 @@ def bust(rng: Rng) -> Sculpture:
         if skull:
             clay.cone((s * 0.7, -0.5, -0.1), (s * 0.75, 0.1, -0.15), 0.1, 0.08, blend=0.05)
         else:
-            clay.ball(at + (0, 0.12, 0), eye * 0.9, blend=0.02)
+            clay.ball(np.add(at, (0, 0.12, 0)), eye * 0.9, blend=0.02)
             ear = np.array([0.08, 0.2, 0.28]) * rng.uniform(0.8, 1.8)
             clay.ball(
                 (s * (wide + 0.02), 0.1, -0.05), ear, rotation((0, 0, 1), s * 0.5), blend=0.05

@@ -15,7 +15,6 @@ from riemlayer.data.procedural.solids import (
     hull,
     move,
     pick,
-    revolve,
     rod,
     segments,
     smooth_curve,
@@ -209,11 +208,11 @@ def shoe(rng: Rng) -> Sculpture:
         clay.block((0, 0.0, -0.35), (r * 0.7, 0.2, rng.uniform(0.1, 0.3)), round_=0.04, blend=0.02)
     for s in np.linspace(0.15, 0.85, int(rng.integers(0, 6))):
         at = np.array([0, -0.75 + 0.5 * s, 0.15 + 0.35 * s * min(tall, 0.8)])
-        clay.cone(at - (0.16, 0, 0), at + (0.16, 0, 0), 0.05, blend=0.02)
+        clay.cone(at - (0.16, 0, 0), np.add(at, (0.16, 0, 0)), 0.05, blend=0.02)
     for a, b, ra, rb in bones:
         b = np.add(b, (0, 0, rb + 0.1)) if b is ankle else np.asarray(b)
         clay.cone(a, b, ra - wall, rb - wall, removes=True, blend=0.02)
-    clay.block(ankle + (0, 0, r + 0.02), (1, 1, r), removes=True, blend=0.01)
+    clay.block(np.add(ankle, (0, 0, r + 0.02)), (1, 1, r), removes=True, blend=0.01)
     if chance(rng, 0.5):
         clay.roughen(rng, rng.uniform(0.005, 0.012), rng.uniform(0.15, 0.5))
     return clay

@@ -36,7 +36,6 @@ class Sculpture:
     Args:
         blend: Radius over which a new part melts into the rest.
         cells: Number of grid cells.
-        roughness: (k, 3) wave vectors and (k,) amplitudes of a displacement of the surface.
     """
 
     def __init__(self, blend: float = 0.05, cells: float = 0.8e6):
@@ -171,7 +170,7 @@ def _local(x, y, z, centre, turn):
 
 
 def _join(values: np.ndarray, axes, part: Part, floor: float, pad: float) -> None:
-    """Smooth union (or cut) of a part, in its box only: min(a, b) - h^2 k / 4, h = 1 - |a - b| / k."""
+    """Smooth union or cut within a part's box: min(a, b) - h^2 k / 4, h = 1 - |a - b| / k."""
     reach = part.blend + pad + floor
     span = [
         slice(*np.searchsorted(axes[i], [part.low[i] - reach, part.high[i] + reach]))

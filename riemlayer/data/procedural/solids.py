@@ -1,6 +1,6 @@
 """Exact solids with sharp edges (manifold3d): boxes, prisms, revolved profiles, swept tubes.
 
-Every function returns one closed `Manifold`; z is up. A list of them is a list of overlapping parts.
+Solids are closed `Manifold`s; z is up. A list of them is a list of overlapping parts.
 """
 
 from collections.abc import Callable, Sequence
@@ -133,7 +133,7 @@ def beam(a: ArrayLike, b: ArrayLike, width: float, depth: float | None = None) -
 
 
 def transport_frames(path: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit normals along a curve (n, 3) that do not twist; on closed curves the rest is spread."""
+    """Two unit normals along a curve (n, 3) without twist; a closed curve spreads the rest."""
     around = np.roll(path, -1, 0) - np.roll(path, 1, 0)
     tangent = around if closed else np.gradient(path, axis=0)
     tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)

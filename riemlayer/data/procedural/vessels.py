@@ -1,4 +1,4 @@
-"""Vessels with real walls: cups, vases, bottles, bowls, wine glasses, pots with handles and spouts."""
+"""Vessels with real walls: cups, vases, bottles, bowls, wine glasses, with handles."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -22,7 +22,7 @@ Parts = list[Manifold]
 
 
 def outline(rng: Rng, style: str) -> tuple[np.ndarray, float]:
-    """Outer radius and height (n, 2) of a vessel from its foot to its lip, and the level of its floor."""
+    """Outer radius and height (n, 2) of a vessel from foot to lip, and its floor's level."""
     if style == "cup":
         r, h = rng.uniform(0.35, 0.7), rng.uniform(0.5, 1.3)
         bulge = rng.uniform(-0.15, 0.25)
