@@ -1,0 +1,54 @@
+"""Sample files: one shape, one safetensors file, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save
+
+RECIPE = "1"
+"""Version of the preparation; raise it when samples change."""
+
+
+def write_sample(
+    path: str | Path, tensors: Mapping[str, NDArray], metadata: Mapping[str, str]
+) -> None:
+    """Writes one sample atomically: a hidden temporary file, fsync, then a rename (ours).
+
+    Args:
+        path: `<folder>/<name>.safetensors`.
+        tensors: arrays of the sample.
+        metadata: strings kept in the file's header.
+
+    Raises:
+        OSError: the disk is full or not writable; nothing is left behind.
+    """
+    path = Path(path)
+    data = save({name: np.ascontiguousarray(x) for name, x in tensors.items()}, dict(metadata))
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def remove_stale(folder: str | Path, age: float = 600.0) -> int:
+    """Removes temporary files older than `age` seconds, left by killed runs; how many (ours)."""
+    removed = 0
+    for file in Path(folder).glob(".*.tmp"):
+        with suppress(FileNotFoundError):  # another run was quicker
+            if time.time() - file.stat().st_mtime > age:
+                file.unlink()
+                removed += 1
+    return removed
