@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,11 @@ class Shape:
             arrays = {name: file[name] for name in cls.__dataclass_fields__}
         shared = ("V", "F", "points")
         return cls(**{k: x if k in shared else x[:sources] for k, x in arrays.items()})
+
+    @cached_property
+    def edges(self) -> Array:
+        """The mesh's undirected edges (E, 2)."""
+        return metrics.mesh_edges(self.F).numpy()
 
     def masks(self, s: int) -> dict[str, tuple[Array, Array]]:
         """Masks of source s, {"r0.5": (vertices (n,), end points (K,)), "r0.5_tight": ..., ...}.
@@ -145,14 +151,12 @@ def _log_rows(method: SupportsLog, shape: Shape, s: int) -> list[tuple[str, str,
     at_end = _answer(method.log(p, shape.end[s]), shape.end[s].shape)
     log, masks = _answer(log, (n, 3)), shape.masks(s)
     rows = [("time", "log", seconds)]
-    if shape.valid[s].any():
-        own = metrics.in_plane(log, shape.valid[s])
-        true = metrics.in_plane(log, shape.valid[s], shape.src_normal[s])
-        for section, (vertices, _) in masks.items():
-            rows += [(section, k, x) for k, x in _distortion(shape, own, vertices).items()]
-            rows += [
-                (section, f"{k}_true", x) for k, x in _distortion(shape, true, vertices).items()
-            ]
+    counted = shape.valid[s] | shape.valid_tight[s]
+    if counted.any():
+        own = metrics.in_plane(log, counted)
+        true = metrics.in_plane(log, counted, shape.src_normal[s])
+        rows += _distortions(shape, own, counted, masks, "")
+        rows += _distortions(shape, true, counted, masks, "_true")
     for section, (_, ends) in masks.items():
         if ends.any():
             error = metrics.log_end_error(shape.vec[s], at_end, ends)
@@ -163,16 +167,29 @@ def _log_rows(method: SupportsLog, shape: Shape, s: int) -> list[tuple[str, str,
     return [*rows, ("at_p", "log_differential", float(differential))]
 
 
-def _distortion(shape: Shape, log: torch.Tensor, valid: Array) -> dict[str, float]:
-    """Eq. (5) and E_MDD of one mask, where it holds a triangle and an edge."""
-    row = {}
-    edges = metrics.edge_distortion(shape.V, shape.F, log, valid)
-    if len(edges):
-        row["mdd"] = float(edges.clamp(max=COLLAPSED).mean())
-        row["mdd_clip"] = float(edges.clamp(max=1).mean())
-    if valid[shape.F].all(-1).any():
-        row["angle"] = float(metrics.angle_error(shape.V, shape.F, log, valid))
-    return row
+def _distortions(
+    shape: Shape,
+    log: torch.Tensor,
+    counted: Array,
+    masks: dict[str, tuple[Array, Array]],
+    kind: str,
+) -> list[tuple[str, str, float]]:
+    """Eq. (5) and E_MDD of every mask that holds a triangle or an edge, all within `counted`."""
+    faces, edges = shape.F[counted[shape.F].all(-1)], shape.edges[counted[shape.edges].all(-1)]
+    angle = metrics.triangle_distortion(shape.V, faces, log)
+    distance = metrics.edge_distortion(shape.V, edges, log)
+    rows = []
+    for section, (valid, _) in masks.items():
+        angles = angle[torch.from_numpy(valid[faces]).all(-1)]
+        distances = distance[torch.from_numpy(valid[edges]).all(-1)]
+        for name, x in (
+            ("angle", angles),
+            ("mdd", distances.clamp(max=COLLAPSED)),
+            ("mdd_clip", distances.clamp(max=1)),
+        ):
+            if len(x):
+                rows.append((section, name + kind, float(x.mean())))
+    return rows
 
 
 def _exp_rows(method: SupportsExp, shape: Shape, s: int) -> list[tuple[str, str, float]]:

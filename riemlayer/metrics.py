@@ -28,16 +28,8 @@ def angle_error(vertices: Values, faces: Values, log: Values, valid: Values) -> 
     """Eq. (5): mean |angle in space - angle in the tangent plane| over valid triangles, degrees.
 
     Degenerate: a corner with a side of zero length has angle 0, so a triangle that the log map
-    collapses to a point costs 60 degrees on average.
-
-    Args:
-        vertices: (n, 3) positions.
-        faces: (m, 3) vertex indices.
-        log: (n, 2) or (n, 3) tangent vectors.
-        valid: (n,) bool.
-
-    Raises:
-        ValueError: no triangle is valid, or `log` is not finite on one.
+    collapses to a point costs 60 degrees. Raises ValueError where no triangle is valid, or `log`
+    is not finite on one.
 
     Example:
         >>> V = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -46,11 +38,21 @@ def angle_error(vertices: Values, faces: Values, log: Values, valid: Values) -> 
         >>> angle_error(V, torch.tensor([[0, 1, 2]]), log, valid).round().item()
         30.0
     """
-    vertices, faces, log = torch.as_tensor(vertices), torch.as_tensor(faces).long(), _space(log)
+    faces, log = torch.as_tensor(faces).long(), torch.as_tensor(log)
     faces = faces[torch.as_tensor(valid)[faces].all(-1)]
     _demand(len(faces) > 0, "valid leaves no triangle to measure; widen the mask or the radius")
     check_finite("log", log[faces])
-    return (_corner_angles(vertices[faces]) - _corner_angles(log[faces])).abs().mean().rad2deg()
+    return triangle_distortion(vertices, faces, log).mean()
+
+
+def triangle_distortion(vertices: Values, faces: Values, log: Values) -> Tensor:
+    """Mean |angle in space - angle in the tangent plane| of each triangle (m,), degrees, Eq. (5).
+
+    Arguments and degenerate cases as for `angle_error`.
+    """
+    faces = torch.as_tensor(faces).long()
+    true, tangent = (_corner_angles(_space(x)[faces]) for x in (vertices, log))
+    return (true - tangent).abs().mean(-1).rad2deg()
 
 
 def distance_distortion(
@@ -78,33 +80,36 @@ def distance_distortion(
         >>> distance_distortion(V, torch.tensor([[0, 1, 2]]), log, valid).item()  # |1 / 0.25 - 1|
         3.0
     """
-    distortion = edge_distortion(vertices, faces, log, valid)
-    _demand(len(distortion) > 0, "valid leaves no edge to measure; widen the mask or the radius")
+    edges, log = mesh_edges(faces), torch.as_tensor(log)
+    edges = edges[torch.as_tensor(valid)[edges].all(-1)]
+    _demand(len(edges) > 0, "valid leaves no edge to measure; widen the mask or the radius")
+    check_finite("log", log[edges])
+    distortion = edge_distortion(vertices, edges, log)
     return (distortion if clip is None else distortion.clamp(max=clip)).mean()
 
 
-def edge_distortion(vertices: Values, faces: Values, log: Values, valid: Values) -> Tensor:
-    """|L_3D / L_tan - 1| of every valid edge (E,), the terms of E_MDD (section 4).
+def edge_distortion(vertices: Values, edges: Values, log: Values) -> Tensor:
+    """|L_3D / L_tan - 1| of each edge (E,) of edges (E, 2), the terms of E_MDD (section 4).
 
     Degenerate: an edge that the log map collapses to zero costs infinity; an edge of zero length
-    that stays so costs 0, one that does not costs 1; no valid edge gives shape (0,).
-
-    Args:
-        vertices: (n, 3) positions.
-        faces: (m, 3) vertex indices.
-        log: (n, 2) or (n, 3) tangent vectors.
-        valid: (n,) bool.
-
-    Raises:
-        ValueError: `log` is not finite on a valid edge.
+    that stays so costs 0, one that does not costs 1.
     """
+    first, second = torch.as_tensor(edges).long().unbind(-1)
     vertices, log = torch.as_tensor(vertices), _space(log)
-    edges = _valid_edges(torch.as_tensor(faces).long(), torch.as_tensor(valid))
-    check_finite("log", log[edges])
-    length = (vertices[edges[:, 1]] - vertices[edges[:, 0]]).norm(dim=-1)
-    tangent = (log[edges[:, 1]] - log[edges[:, 0]]).norm(dim=-1)
+    length = (vertices[second] - vertices[first]).norm(dim=-1)
+    tangent = (log[second] - log[first]).norm(dim=-1)
     unchanged = length == tangent
     return (length / torch.where(unchanged, 1, tangent) - 1).abs().masked_fill(unchanged, 0)
+
+
+def mesh_edges(faces: Values) -> Tensor:
+    """The undirected edges (E, 2) of faces (m, 3), each once."""
+    faces = torch.as_tensor(faces).long()
+    pairs = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    low, high = pairs.sort(dim=-1).values.unbind(-1)
+    stride = int(faces.max()) + 1 if len(faces) else 1
+    keys = torch.unique(low * stride + high)
+    return torch.stack([keys // stride, keys % stride], -1)
 
 
 def in_plane(log: Values, valid: Values, normal: Values | None = None) -> Tensor:
@@ -268,15 +273,6 @@ def _mean_distance(truth: Values, prediction: Values, valid: Values | None) -> T
     _demand(truth.numel() > 0, "valid leaves no row to measure; widen the mask or the radius")
     check_finite("prediction", prediction)
     return (truth - prediction).norm(dim=-1).mean()
-
-
-def _valid_edges(faces: Tensor, valid: Tensor) -> Tensor:
-    """Undirected edges (E, 2) with two valid ends, each once."""
-    faces = faces[valid[faces].sum(-1) >= 2]
-    edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    low, high = edges[valid[edges].all(-1)].sort(dim=-1).values.unbind(-1)
-    keys = torch.unique(low * len(valid) + high)
-    return torch.stack([keys // len(valid), keys % len(valid)], -1)
 
 
 def _corner_angles(corners: Tensor) -> Tensor:
