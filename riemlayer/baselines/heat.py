@@ -17,8 +17,9 @@ class Heat:
     over their neighbours: taking the nearest point's answer makes edges collapse.
 
     Args:
-        t_coef: diffusion time in squared mean edge lengths (potpourri3d's default is 1).
-        k: neighbours of the affine fit.
+        t_coef: diffusion time in squared mean edge lengths. Of 0.5, 1 (potpourri3d's default) and 2
+            the first is better at traced end points and worse in angle, the last the reverse.
+        k: neighbours of the affine fit; 12 beats 6 and 8 in angle on every cloud that was tried.
     """
 
     t_coef: float = 1.0
