@@ -1,10 +1,11 @@
 # Every target sets up .venv by itself, once, and again when a dependency changes.
 PYTHON ?= python3
+SHAPES ?= 1000
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: help demo test lint types check format train setup clean
+.PHONY: help demo test lint types check train format setup clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | expand -t 10
@@ -25,6 +26,11 @@ types: $(STAMP)  ## static types
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 check: lint types test  ## everything that CI asks for, the demo apart
+
+train: $(STAMP)  ## prepare SHAPES=1000 procedural shapes and train `base`; goes on where it stopped
+	$(BIN)/python -m riemlayer.data.prepare --procedural $(SHAPES) --seed 0 -o data_cache/procedural
+	$(BIN)/python -m lightning_modules fit --config lightning_modules/configs/base.yaml \
+		$(if $(wildcard runs/base/last.ckpt),--ckpt_path runs/base/last.ckpt)
 
 format: $(STAMP)  ## put the code into the house format
 	$(BIN)/ruff format .
