@@ -9,6 +9,7 @@ from riemlayer.data.procedural.solids import (
     any_box,
     ball,
     chance,
+    convex,
     cut,
     extrude,
     move,
@@ -36,7 +37,7 @@ def primitive(rng: Rng) -> Manifold:
     elif style == "ball":
         part = ball(size * 0.8, sides=n)
     elif style == "wedge":
-        part = Manifold.hull_points(rng.normal(size=(int(rng.integers(5, 14)), 3)) * size * 0.7)
+        part = convex(rng.normal(size=(int(rng.integers(5, 14)), 3)) * size * 0.7)
     elif style == "torus":
         t = np.arange(16) * np.pi / 8
         ring = np.c_[0.55 + 0.18 * np.cos(t), 0.18 * np.sin(t) * rng.uniform(0.6, 2)]
@@ -105,8 +106,8 @@ def wireframe(rng: Rng) -> Parts:
     if style == "hull":
         points = rng.normal(size=(int(rng.integers(5, 11)), 3))
         points /= np.linalg.norm(points, axis=1, keepdims=True) * rng.uniform(0.8, 1.2)
-        faces = np.asarray(Manifold.hull_points(points).to_mesh64().tri_verts, int)
-        points = np.asarray(Manifold.hull_points(points).to_mesh64().vert_properties)
+        faces = np.asarray(convex(points).to_mesh64().tri_verts, int)
+        points = np.asarray(convex(points).to_mesh64().vert_properties)
         edges = np.unique(np.sort(np.concatenate([faces[:, :2], faces[:, 1:]]), 1), axis=0)
     else:
         counts = (

@@ -159,7 +159,7 @@ def leg(rng, clay, side, wide, fat, shrink, pose, robotic) -> None:
     hip = np.array([side * 0.09 * wide, 0, -0.05])
     thigh = unit((side * np.sin(out), -np.sin(forward), -np.cos(forward)))
     knee_bend = {"stand": 0.05, "tpose": 0.0, "sit": rng.uniform(1.2, 1.7)}.get(
-        pose, abs(rng.normal(0, 0.7))
+        pose, float(abs(rng.normal(0, 0.7)))
     )
     knee = hip + 0.43 * shrink * thigh
     shin = rotation((1, 0, 0), knee_bend) @ thigh

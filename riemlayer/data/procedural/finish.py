@@ -52,11 +52,10 @@ def finish(rng: Rng, model: list[Manifold] | Sculpture, kind: str, soup: bool) -
         vertices, faces = concatenate([opened(rng, m) for m in meshes] if shelled else meshes)
         raw = place(vertices), faces
     vertices, faces = to_arrays(whole)
-    body = (
-        shell(*raw, size=pick(rng, 80, 96, 128))
-        if raw and shelled
-        else outer_body(place(vertices), faces)
-    )
+    if raw and shelled:
+        body = shell(*raw, size=pick(rng, 80, 96, 128))
+    else:
+        body = outer_body(place(vertices), faces)
     if body is None or not is_valid(*body):
         return None
     return Shape(*body, kind, raw)

@@ -99,7 +99,8 @@ def sofa(rng: Rng) -> Parts:
         parts.append(soft_box(size, (((i + 0.5) / count - 0.5) * width, -0.03, top + 0.05), 0.09))
     for _ in range(rng.integers(0, 4)):
         pillow = soft_box(rng.uniform(0.12, 0.5, 3)).rotate(tuple(rng.uniform(-40, 40, 3)))
-        parts.append(move(pillow, *(rng.uniform(-0.4, 0.4, 2) * (width, depth)), top + 0.2))
+        x, y = rng.uniform(-0.4, 0.4, 2) * (width, depth)
+        parts.append(move(pillow, x, y, top + 0.2))
     if chance(rng, 0.2):
         parts.append(
             soft_box((0.7, depth * 1.8, height), (width / 2, -depth * 0.4, height / 2 + 0.1), r)

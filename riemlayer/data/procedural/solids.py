@@ -4,6 +4,7 @@ Solids are closed `Manifold`s; z is up. A list of them is a list of overlapping 
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold, Mesh64, OpType
@@ -49,6 +50,11 @@ def box(size: ArrayLike, centre: ArrayLike = (0, 0, 0)) -> Manifold:
     return Manifold.cube(tuple(sides), True).translate(tuple(middle))
 
 
+def convex(points: ArrayLike) -> Manifold:
+    """The convex hull of points (n, 3)."""
+    return Manifold.hull_points(cast(Any, np.asarray(points, float)))
+
+
 def soft_box(size: ArrayLike, centre: ArrayLike = (0, 0, 0), radius: float = 0.05) -> Manifold:
     """A box with rounded edges: the hull of eight small spheres."""
     half = np.asarray(size, float) / 2
@@ -56,7 +62,7 @@ def soft_box(size: ArrayLike, centre: ArrayLike = (0, 0, 0), radius: float = 0.0
     ball = np.asarray(Manifold.sphere(radius, 16).to_mesh64().vert_properties)
     corners = np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     points = (corners * (half - radius))[:, None] + ball[None]
-    return Manifold.hull_points(points.reshape(-1, 3)).translate(tuple(np.asarray(centre, float)))
+    return convex(points.reshape(-1, 3)).translate(tuple(np.asarray(centre, float)))
 
 
 def chamfered_box(size: ArrayLike, centre: ArrayLike = (0, 0, 0), edge: float = 0.05) -> Manifold:
@@ -65,7 +71,7 @@ def chamfered_box(size: ArrayLike, centre: ArrayLike = (0, 0, 0), edge: float = 
     edge = float(min(edge, 0.9 * half.min()))
     corners = np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     points = [corners * (half - edge * (1 - np.eye(3)[axis])) for axis in range(3)]
-    return Manifold.hull_points(np.concatenate(points)).translate(tuple(np.asarray(centre, float)))
+    return convex(np.concatenate(points)).translate(tuple(np.asarray(centre, float)))
 
 
 def any_box(rng: Rng, size: ArrayLike, centre: ArrayLike = (0, 0, 0), edge: float = 0.04):
@@ -128,7 +134,7 @@ def beam(a: ArrayLike, b: ArrayLike, width: float, depth: float | None = None) -
     side /= np.linalg.norm(side)
     frame = np.stack([side, np.cross(along, side), along], 1)
     matrix = np.concatenate([frame, ((a + b) / 2)[:, None]], 1)
-    size = (width, width if depth is None else depth, np.linalg.norm(b - a))
+    size = (width, width if depth is None else depth, float(np.linalg.norm(b - a)))
     return box(size).transform(matrix)
 
 

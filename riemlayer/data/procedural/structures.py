@@ -84,7 +84,7 @@ def building(rng: Rng) -> Parts:
     parts: Parts = []
     for index in range(rng.integers(1, 4)):
         wide, deep, tall = rng.uniform(0.5, 1.3, 3) * (1, 1, rng.uniform(0.6, 1.8))
-        at = np.zeros(2) if index == 0 else rng.uniform(-0.6, 0.6, 2)
+        x, y = rng.uniform(-0.6, 0.6, 2) * (index > 0)
         body = box((wide, deep, tall), (0, 0, tall / 2))
         if chance(rng, 0.15):
             body = rod(wide / 2, tall, (0, 0, tall / 2), sides=segments(rng))
@@ -100,7 +100,7 @@ def building(rng: Rng) -> Parts:
             ]
         if chance(rng, 0.5):
             wing.append(box((0.22, 0.2, 0.35), (rng.uniform(-0.2, 0.2) * wide, -deep / 2, 0.17)))
-        parts += [move(part, *at, 0) for part in wing]
+        parts += [move(part, x, y) for part in wing]
     if chance(rng, 0.3):
         parts.append(any_box(rng, (2.2, 2.0, 0.1), (0, 0, 0.0)))
     if chance(rng, 0.3):
