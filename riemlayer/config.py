@@ -13,11 +13,11 @@ class BackboneConfig:
     """Octree depth of the leaves: 2^depth cells along the cube."""
     stem: int = 64
     """Width of the point stem; 0 for the paper's plain leaf offsets."""
-    encoder: tuple[int, ...] = (64, 96, 128, 192)
+    encoder: tuple[int, ...] = (64, 96, 128, 128)
     """Channels at the leaves and after each halving."""
     encoder_blocks: tuple[int, ...] = (2, 3, 3)
     """Residual blocks after each halving."""
-    decoder: tuple[int, ...] = (192, 128, 128, 128)
+    decoder: tuple[int, ...] = (128, 128, 128, 96)
     """Channels at the coarsest level and after each doubling."""
     decoder_blocks: tuple[int, ...] = (2, 2, 2)
     """Residual blocks after each doubling."""

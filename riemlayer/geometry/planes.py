@@ -32,25 +32,25 @@ class PlaneLevel(NamedTuple):
     """Planes of the n nodes of a level; a last row stands for "no node"."""
 
     level: Level
-    centroid: Tensor
-    """(n + 1, 3)"""
-    normal: Tensor
-    """(n + 1, 3), unit, its sign without meaning."""
+    plane: Tensor
+    """(6, n + 1): centroid, and unit normal whose sign has no meaning."""
     eigenvalues: Tensor
     """(n, 3) of the local covariance, ascending."""
 
     def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
         """Weighted sums (Q, 5) of oriented normals, signed distances of `x`, and the weights."""
         node, weight = corners(self.level, x, batch)                               # (Q, 8)
-        offset = x[:, None] - self.centroid.index_select(0, node.flatten()).view(-1, 8, 3)
-        normal = self.normal.index_select(0, node.flatten()).view(-1, 8, 3)
+        rows = [column.index_select(0, node.flatten()).view(-1, 8) for column in self.plane]
+        offset = [x[:, i, None] - rows[i] for i in range(3)]                       # 3 x (Q, 8)
+        normal = rows[3:]
         width = BLEND * self.level.cell_size
-        weight = weight * torch.exp(offset.square().sum(-1) * (-0.5 / width**2))   # (Q, 8)
-        agree = (normal * towards[:, None]).sum(-1)
+        square = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
+        weight = weight * torch.exp(square * (-0.5 / width**2))                    # (Q, 8)
+        agree = sum(normal[i] * towards[:, i, None] for i in range(3))
         sign = torch.where(agree < 0, -weight, weight)                             # (Q, 8)
-        distance = (sign * (normal * offset).sum(-1)).sum(-1, keepdim=True)
-        normal = (sign[..., None] * normal).sum(1)
-        return torch.cat((normal, distance, weight.sum(-1, keepdim=True)), -1)
+        distance = sign * (normal[0] * offset[0] + normal[1] * offset[1] + normal[2] * offset[2])
+        sums = (*(sign * n for n in normal), distance, weight)
+        return torch.stack([y.sum(-1) for y in sums], -1)
 
 
 class LocalPlanes(NamedTuple):
@@ -89,8 +89,9 @@ class LocalPlanes(NamedTuple):
         plane = self.fine
         values = plane.eigenvalues[node]
         ratios = (values[:, :2] / values[:, 2:].clamp_min(1e-12)).clamp(0, 1)
-        offset = (points - plane.centroid[node]) / plane.level.cell_size
-        return torch.cat((outer6(plane.normal[node]), ratios, offset), -1)
+        centroid, normal = plane.plane.T[node].split(3, -1)
+        offset = (points - centroid) / plane.level.cell_size
+        return torch.cat((outer6(normal), ratios, offset), -1)
 
 
 def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
@@ -121,8 +122,9 @@ def _plane_level(moments: Tensor, parent_moments: Tensor, level: Level, parent: 
     eigenvalues = symmetric_eigenvalues(covariance)
     normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
     centroid = moments[:, 1:4] / moments[:, :1]
-    pad = moments.new_zeros(1, 3)
-    return PlaneLevel(level, torch.cat((centroid, pad)), torch.cat((normal, pad)), eigenvalues)
+    plane = torch.cat((centroid, normal), -1)
+    plane = torch.cat((plane, plane.new_zeros(1, 6))).T.contiguous()
+    return PlaneLevel(level, plane, eigenvalues)
 
 
 def _moments(x: Tensor) -> Tensor:

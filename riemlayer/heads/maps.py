@@ -12,7 +12,7 @@ from riemlayer.config import HeadConfig
 from riemlayer.geometry import LocalPlanes, walk
 from riemlayer.heads.triplane import TriplaneHypernetwork, sample_triplane
 from riemlayer.numerics import outer6, safe_norm
-from riemlayer.octree import Level, interpolate
+from riemlayer.octree import Level, interpolate, interpolate_or_zero
 
 
 class Embedding(NamedTuple):
@@ -91,15 +91,12 @@ class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
     The walk over the cloud's planes is the prior; f sees the triplane of z(p) at v, the walked end
-    point, direction and normal, and the narrow embedding where it landed. A second small decoder
-    looks the embedding up where the first correction landed, and corrects again. Exp_p(0) = p and
+    point, direction and normal, and the narrow embedding where it landed. Exp_p(0) = p and
     d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet: q = p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         super().__init__(embedding, 12 + config.narrow if config.anchored else 0, radius, config)
-        if config.anchored:
-            self.refine = Decoder(config.hidden + config.narrow, config)
 
     def forward(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> MapOutput:
         z, _ = interpolate(field.z, field.level, p, shape)                         # (S, C)
@@ -110,10 +107,7 @@ class ExpHead(MapHead):
         moved, told = self.prior(field, p, v, shape)
         landed = read_narrow(field, p[:, None] + moved, shape)
         hidden, f = self.decode(z, v, *told, landed)
-        first = moved + safe_norm(v) * (f - f[:, :1])
-        landed = read_narrow(field, p[:, None] + first, shape)
-        hidden, g = self.refine(torch.cat((hidden.to(landed.dtype), landed), -1))
-        vector = first + safe_norm(v) * (g - g[:, :1])
+        vector = moved + safe_norm(v) * (f - f[:, :1])
         return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:]))
 
     def prior(
@@ -154,9 +148,9 @@ class LogHead(MapHead):
 
 
 def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:
-    """Narrow embedding (S, K, narrow) at points (S, K, 3) of the cube."""
+    """Narrow embedding (S, K, narrow) at points (S, K, 3) of the cube; 0 where there is none."""
     if field.narrow is None:
         return x.new_zeros(*x.shape[:2], 0)
     index = shape[:, None].expand(x.shape[:2]).flatten()
-    value, _ = interpolate(field.narrow, field.level, x.flatten(0, 1), index)
+    value = interpolate_or_zero(field.narrow, field.level, x.flatten(0, 1), index)
     return value.unflatten(0, x.shape[:2])

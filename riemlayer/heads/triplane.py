@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from riemlayer.numerics import weighted_rows
+
 PLANES = ((0, 1), (0, 2), (1, 2))
 """Coordinates of the planes xy, xz, yz."""
 
@@ -34,8 +36,8 @@ def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     row = row[..., None] + torch.tensor([0, 1, r, r + 1], device=x.device)         # (S, K, 3, 4)
     f, g = fraction.unbind(-1)
     weight = torch.stack(((1 - f) * (1 - g), (1 - f) * g, f * (1 - g), f * g), -1)
-    corner = planes.reshape(-1, c).index_select(0, row.flatten()).view(*row.shape, c)
-    return (corner * weight[..., None].to(corner.dtype)).sum(-2).flatten(-2)       # (S, K, 3 C)
+    table = planes.reshape(-1, c).to(x.dtype)
+    return weighted_rows(table, row.view(-1, 4), weight.view(-1, 4)).view(*x.shape[:2], 3 * c)
 
 
 class TriplaneHypernetwork(nn.Module):

@@ -1,10 +1,16 @@
 """Octree in pure torch: keys, build, look-up, search."""
 
 from riemlayer.octree.build import HALF_WIDTH, Level, Octree, build_octree
-from riemlayer.octree.interpolate import Corners, corners, interpolate, nearest_node
+from riemlayer.octree.interpolate import (
+    Corners,
+    corners,
+    interpolate,
+    interpolate_or_zero,
+    nearest_node,
+)
 from riemlayer.octree.keys import decode_key, encode_key
 
 __all__ = [
     "HALF_WIDTH", "Corners", "Level", "Octree", "build_octree", "corners", "decode_key",
-    "encode_key", "interpolate", "nearest_node",
+    "encode_key", "interpolate", "interpolate_or_zero", "nearest_node",
 ]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from riemlayer.numerics import weighted_rows
 from riemlayer.octree.build import HALF_WIDTH, Level
 
 OCTANTS = torch.cartesian_prod(*[torch.arange(2)] * 3)
@@ -63,16 +64,24 @@ def interpolate(features: Tensor, level: Level, x: Tensor, batch: Tensor) -> tup
         x: (Q, 3) in the cube; differentiable.
         batch: (Q,) int64, shape of each query.
     """
-    node, weight = corners(level, x, batch)
-    total = weight.sum(-1, keepdim=True)
-    supported = total.detach().squeeze(-1) > 1e-6
-    weight = weight / total.clamp_min(1e-6)
-    node = node.clamp_max(len(level) - 1)
+    node, weight, supported = _renormalised(level, x, batch)
     if not bool(supported.all()):
         lost = ~supported
         nearest = torch.zeros_like(node[:, 0])
         nearest[lost] = nearest_node(level, x.detach()[lost], batch[lost])
         node = torch.where(lost[:, None], nearest[:, None], node)
         weight = torch.where(lost[:, None], torch.full_like(weight, 1 / 8), weight)
-    rows = features.index_select(0, node.flatten()).unflatten(0, node.shape)       # (Q, 8, C)
-    return (rows * weight[..., None].to(rows.dtype)).sum(1), supported
+    return weighted_rows(features, node, weight), supported
+
+
+def interpolate_or_zero(features: Tensor, level: Level, x: Tensor, batch: Tensor) -> Tensor:
+    """As `interpolate`, with zeros off the support: for points that need not lie on the surface."""
+    node, weight, _ = _renormalised(level, x, batch)
+    return weighted_rows(features, node, weight)
+
+
+def _renormalised(level: Level, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    node, weight = corners(level, x, batch)
+    total = weight.sum(-1, keepdim=True)
+    supported = total.detach().squeeze(-1) > 1e-6
+    return node.clamp_max(len(level) - 1), weight / total.clamp_min(1e-6), supported

@@ -1,0 +1,138 @@
+"""`ExpLogDataModule`: prepared shapes as batches, resumable to the step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Sampler
+
+from riemlayer.data.augment import Augmentation, TrainingSample
+from riemlayer.data.dataset import ShapeDataset, sample_files, split
+from riemlayer.losses import Truth
+
+
+class Batch:
+    """A packed batch of clouds and their ground truth."""
+
+    def __init__(self, points: Tensor, batch: Tensor, truth: Truth) -> None:
+        self.points, self.batch, self.truth = points, batch, truth
+
+    def to(self, device: torch.device) -> Batch:
+        """The same batch on another device."""
+        truth = Truth(*(getattr(self.truth, f.name).to(device) for f in fields(Truth)))
+        return Batch(self.points.to(device), self.batch.to(device), truth)
+
+
+def collate(samples: list[TrainingSample]) -> Batch:
+    """Pack the clouds of several samples one after the other."""
+    counts = torch.tensor([len(s.points) for s in samples])
+    index = torch.arange(len(samples))
+    parts = {
+        f.name: torch.cat([getattr(s.truth, f.name) for s in samples]) for f in fields(Truth)
+    }
+    parts["shape"] = index.repeat_interleave(torch.tensor([len(s.truth.p) for s in samples]))
+    points = torch.cat([s.points for s in samples])
+    return Batch(points, index.repeat_interleave(counts), Truth(**parts))
+
+
+class SeededSampler(Sampler[tuple[int, int]]):
+    """Endless-looking epochs of (index, seed), a function of (seed, epoch) alone.
+
+    A run that starts again at step n of an epoch draws what the undisturbed run drew there.
+    """
+
+    def __init__(self, size: int, seed: int, shuffle: bool) -> None:
+        self.size, self.seed, self.shuffle = size, seed, shuffle
+        self.epoch, self.skip = 0, 0
+
+    def __len__(self) -> int:
+        return self.size
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        epoch = self.epoch if self.shuffle else 0
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + epoch)
+        order = torch.randperm(self.size, generator=generator) if self.shuffle else torch.arange(self.size)
+        seeds = torch.randint(1 << 60, (self.size,), generator=generator)
+        start, self.skip = self.skip, 0
+        yield from zip(order[start:].tolist(), seeds[start:].tolist(), strict=True)
+        self.epoch += 1
+
+
+class ExpLogDataModule(L.LightningDataModule):
+    """Training and validation shapes from one or several folders of prepared samples.
+
+    Args:
+        roots: folders written by `riemlayer.data.prepare`.
+        batch_size: shapes a step.
+        sources, vectors: sources a shape and queries a source; 13 x 768 is the paper's 10,000.
+        augmentation: what may happen to a training cloud.
+        validation: fraction of the shapes held out, by the hash of their names.
+        limit_validation: most validation shapes.
+        seed: of order and augmentation.
+        workers: processes that load data.
+    """
+
+    def __init__(
+        self, roots: list[str], batch_size: int = 1, sources: int = 13, vectors: int = 768,
+        augmentation: Augmentation | None = None, validation: float = 0.03,
+        limit_validation: int = 32, seed: int = 0, workers: int = 0,
+    ) -> None:
+        super().__init__()
+        self.roots, self.batch_size = roots, batch_size
+        self.sources, self.vectors = sources, vectors
+        self.augmentation = augmentation or Augmentation()
+        self.validation, self.limit_validation = validation, limit_validation
+        self.seed, self.workers = seed, workers
+        self.sampler: SeededSampler | None = None
+        self._state: dict[str, Any] = {}
+
+    def setup(self, stage: str) -> None:
+        """Lists the files; called by the trainer."""
+        train, held = split(sample_files(self.roots), self.validation)
+        self.train = ShapeDataset(train, self.augmentation, self.sources, self.vectors)
+        still = Augmentation.none()
+        self.held = ShapeDataset(held[: self.limit_validation], still, self.sources, self.vectors)
+        self.sampler = SeededSampler(len(train), self.seed, shuffle=True)
+        self.sampler.epoch = self._state.get("epoch", 0)
+        if self._state.get("size") == len(train):
+            self.sampler.skip = self._state["seen"]
+
+    def train_dataloader(self) -> DataLoader:
+        """Shapes in a new order each epoch."""
+        return self._loader(self.train, self.sampler)
+
+    def val_dataloader(self) -> DataLoader:
+        """The held-out shapes, always the same queries."""
+        return self._loader(self.held, SeededSampler(len(self.held), self.seed, shuffle=False))
+
+    def _loader(self, data: ShapeDataset, sampler: SeededSampler | None) -> DataLoader:
+        return DataLoader(
+            data, self.batch_size, sampler=sampler, collate_fn=collate, num_workers=self.workers,
+            persistent_workers=self.workers > 0,
+        )
+
+    def transfer_batch_to_device(
+        self, batch: Batch, device: torch.device, dataloader_idx: int
+    ) -> Batch:
+        """Moves a batch; called by the trainer."""
+        return batch.to(device)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where in which epoch the run is."""
+        trainer = self.trainer
+        if trainer is None:
+            return {}
+        batches = trainer.fit_loop.epoch_loop.batch_progress.current.completed
+        return {
+            "epoch": trainer.current_epoch, "seen": batches * self.batch_size,
+            "size": len(self.train),
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Continues there, also when new shapes were added since (then at the epoch's start)."""
+        self._state = state_dict

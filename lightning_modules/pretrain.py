@@ -1,0 +1,88 @@
+"""`ExpLogPretraining`: Sec. 3.3 as a LightningModule."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
+
+from lightning_modules.datamodule import Batch
+from riemlayer.config import FieldConfig
+from riemlayer.field import ExpLogField
+from riemlayer.losses import LossWeights, explog_losses
+
+
+class ExpLogPretraining(L.LightningModule):
+    """Supervised training of an `ExpLogField` on traced geodesics.
+
+    AdamW with a short warm-up and linear decay to 0 at the trainer's `max_steps` (appendix B).
+
+    Args:
+        preset: `base`, `paper` or `tiny`.
+        losses: weights of Eq. (1).
+        learning_rate, weight_decay: the paper's by default.
+        warmup: steps of linear warm-up (ours; the paper has none).
+        start_from: packaged name or folder of weights to start from.
+    """
+
+    def __init__(
+        self, preset: str = "base", losses: LossWeights | None = None,
+        learning_rate: float = 1e-3, weight_decay: float = 1e-4, warmup: int = 200,
+        start_from: str | None = None,
+    ) -> None:
+        super().__init__()
+        self.save_hyperparameters(ignore=["losses"])
+        self.losses = losses or LossWeights()
+        self.learning_rate, self.weight_decay, self.warmup = learning_rate, weight_decay, warmup
+        self.field = (
+            ExpLogField.from_pretrained(start_from)
+            if start_from
+            else ExpLogField(FieldConfig.preset(preset))
+        )
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        surface = self.field.encode_in_cube(batch.points, batch.batch)
+        losses = explog_losses(surface, batch.truth, self.losses)
+        names = {f"train/{name}": loss for name, loss in losses.items()}
+        self.log_dict(names, batch_size=len(batch.truth.p))
+        self.log("loss", losses["total"], prog_bar=True, logger=False, batch_size=len(batch.truth.p))
+        return losses["total"]
+
+    @torch.no_grad()
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        surface = self.field.encode_in_cube(batch.points, batch.batch)
+        truth, shape = batch.truth, batch.truth.shape[:, None]
+        good = truth.valid & truth.known
+        exp, _ = surface.decode_exp(truth.p[:, None], truth.v, shape)
+        log, _ = surface.decode_log(truth.p[:, None], truth.q, shape)
+        near = good & (truth.v.norm(dim=-1) < 0.1)
+        off_exp, off_log = (exp - truth.q).norm(dim=-1), (log - truth.v).norm(dim=-1)
+        metrics = {
+            "val/exp": off_exp[good].mean(), "val/log": off_log[good].mean(),
+            "val/exp_near": off_exp[near].mean(), "val/log_near": off_log[near].mean(),
+        }
+        self.log_dict(metrics, prog_bar=True, batch_size=len(truth.p))
+
+    def configure_gradient_clipping(
+        self, optimizer: Any, gradient_clip_val: float | None = None,
+        gradient_clip_algorithm: str | None = None,
+    ) -> None:
+        """By norm; Lightning itself refuses to clip for a fused optimiser."""
+        if gradient_clip_val:
+            norm = torch.nn.utils.clip_grad_norm_(self.field.parameters(), gradient_clip_val)
+            self.log("train/gradient_norm", norm)
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        optimizer = torch.optim.AdamW(
+            self.field.parameters(), self.learning_rate, weight_decay=self.weight_decay, fused=True
+        )
+        steps = max(1, int(self.trainer.estimated_stepping_batches))
+
+        def factor(step: int) -> float:
+            return min((step + 1) / max(1, self.warmup), 1.0) * max(0.0, 1 - step / steps)
+
+        schedule = {"scheduler": LambdaLR(optimizer, factor), "interval": "step"}
+        return {"optimizer": optimizer, "lr_scheduler": schedule}
