@@ -28,7 +28,8 @@ def trace(
         vertices, faces: a manifold mesh, (n, 3) and (m, 3).
         sources: vertex indices, (S,).
         v: tangent vectors, (S, K, 3). The tracer follows their projection orthogonal to the
-            angle-weighted vertex normal (`manifold.vertex_normals`), so hand in such vectors.
+            angle-weighted vertex normal (`manifold.vertex_normals`), so hand in such vectors. The
+            angles around a vertex are scaled to a full turn (at a boundary vertex: half a turn).
 
     Returns:
         End points (S, K, 3), and whether each geodesic has the full length |v| (S, K): False
@@ -38,12 +39,12 @@ def trace(
         ValueError: shapes do not agree, or a source is not a vertex.
 
     Example:
-        >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-        >>> halves = np.array([[0, 1, 2], [0, 2, 3]])
+        >>> square = np.array([[0.0, 0, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+        >>> quarters = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
         >>> v = np.array([[[0.5, 0.25, 0.0], [2.0, 1.0, 0.0]]])
-        >>> q, complete = trace(square, halves, np.array([0]), v)
-        >>> q[0, 0].round(6).tolist(), complete.tolist()
-        ([0.5, 0.25, 0.0], [[True, False]])
+        >>> q, complete = trace(square, quarters, np.array([0]), v)
+        >>> q[0].round(6).tolist(), complete.tolist()
+        ([[0.5, 0.25, 0.0], [1.0, 0.5, 0.0]], [[True, False]])
     """
     from potpourri3d import GeodesicTracer
 

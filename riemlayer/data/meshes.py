@@ -174,9 +174,10 @@ def remesh(
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     edge = float(np.sqrt(2 / np.sqrt(3) * area / count))
     iterations = 10 if len(vertices) < count / 2 else 6
+    own = float(np.median(np.linalg.norm(b - a, axis=1)))  # a dense input is no heap of slivers
     results = []
     for _ in range(2):
-        clean, clean_faces = remove_slivers(vertices, faces, 0.2 * edge)
+        clean, clean_faces = remove_slivers(vertices, faces, 0.2 * min(edge, own), rounds=3)
         creases = crease_edges(clean, clean_faces, feature_angle, 0.1 * edge)
         u, g = remesh_botsch(
             clean, clean_faces.astype(np.int32), iterations, edge, feature_edges=creases
@@ -190,7 +191,10 @@ def remesh(
 
 
 def prepare_mesh(
-    vertices: Vertices, faces: Faces, rng: np.random.Generator | None = None
+    vertices: Vertices,
+    faces: Faces,
+    rng: np.random.Generator | None = None,
+    count: int = 10_000,
 ) -> PreparedMesh:
     """Raw mesh to one watertight, manifold, isotropic component in the cube (paper, 4.1).
 
@@ -200,6 +204,7 @@ def prepare_mesh(
     Args:
         vertices, faces: any triangle mesh, in any unit.
         rng: draws the samples of the raw surface; default seed 0.
+        count: vertices to aim at; 0.7 to 1.4 times as many are accepted.
 
     Raises:
         ValueError: with the reason, where no such component comes out.
@@ -215,8 +220,8 @@ def prepare_mesh(
     if not is_watertight_manifold(raw_vertices, raw_faces):
         closed_vertices, closed_faces = make_watertight(raw_vertices, raw_faces)
         feature_angle = 45.0  # a level set has no true crease below, only grid steps
-    new_vertices, new_faces = remesh(closed_vertices, closed_faces, feature_angle=feature_angle)
-    defect = manifold_defect(new_vertices, new_faces) or _flaw(new_vertices, new_faces)
+    new_vertices, new_faces = remesh(closed_vertices, closed_faces, count, feature_angle)
+    defect = manifold_defect(new_vertices, new_faces) or _flaw(new_vertices, new_faces, count)
     if defect is not None:
         raise ValueError(f"vertices, faces cannot be remeshed to a manifold: {defect}")
     new_vertices, centre, scale = normalise(new_vertices)
@@ -228,10 +233,10 @@ def prepare_mesh(
     return PreparedMesh(new_vertices, new_faces, soup, centre, scale)
 
 
-def _flaw(vertices: Vertices, faces: Faces) -> str | None:
+def _flaw(vertices: Vertices, faces: Faces, count: int) -> str | None:
     """Why geodesics cannot be traced well on a manifold mesh; None where they can."""
-    if not 7_000 <= len(vertices) <= 14_000:
-        return f"{len(vertices)} vertices where about 10000 were asked for"
+    if not 0.7 * count <= len(vertices) <= 1.4 * count:
+        return f"{len(vertices)} vertices where about {count} were asked for"
     edge = np.median(np.linalg.norm(vertices[faces[:, 1]] - vertices[faces[:, 0]], axis=1))
     flat = int((heights(vertices, faces) < 0.04 * edge).sum())
     return f"{flat} degenerate faces (parts thinner than an edge?)" if flat > 30 else None

@@ -29,7 +29,9 @@ class _Stars:
         return set(self.faces[self.around(vertex)].ravel().tolist()) - {int(vertex)}
 
 
-def remove_slivers(vertices: Vertices, faces: Faces, length: float) -> tuple[Vertices, Faces]:
+def remove_slivers(
+    vertices: Vertices, faces: Faces, length: float, rounds: int = 12
+) -> tuple[Vertices, Faces]:
     """Removes needles (an edge < length) and caps (height < length / 4), staying manifold (ours).
 
     Remeshing leaves some dozens where creases nearly touch; straightest geodesics go astray in
@@ -39,8 +41,9 @@ def remove_slivers(vertices: Vertices, faces: Faces, length: float) -> tuple[Ver
         vertices: (n, 3).
         faces: (m, 3), edge-manifold.
         length: shortest edge to keep.
+        rounds: at most so many; neighbours of what changed wait for the next round.
     """
-    for _ in range(12):
+    for _ in range(rounds):
         before = faces
         faces = _collapse_needles(vertices, faces, length)
         faces = _flip_caps(vertices, faces, length / 4)

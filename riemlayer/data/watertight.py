@@ -66,8 +66,8 @@ def unsigned_distance_grid(
     occupied = np.zeros((size, size, size), dtype=bool)
     nodes = np.round((np.concatenate([dense, vertices]) + 1) / cell).astype(int)
     occupied[tuple(nodes.T)] = True
-    reach = level / cell + 2  # a cell beyond the level, and one for gaps between the samples
-    band = ndimage.distance_transform_edt(~occupied) <= reach
+    reach = int(np.ceil(level / cell)) + 2  # one cell beyond the level, one between the samples
+    band = ndimage.maximum_filter(occupied, 2 * reach + 1)
     index = np.argwhere(band)
     grid = np.full((size, size, size), 2 * reach * cell)
     square = squared_distance(index * cell - 1, vertices, F=faces.astype(np.int32), use_cpp=True)
