@@ -11,6 +11,9 @@ from lightning_modules.pretrain import ExpLogPretraining
 def main(args: list[str] | None = None) -> None:
     """Runs `fit` or `validate`; every option of trainer, model and data is a flag or a YAML key."""
     LightningCLI(
-        ExpLogPretraining, ExpLogDataModule, args=args,
-        save_config_kwargs={"overwrite": True}, seed_everything_default=0,
+        ExpLogPretraining,
+        ExpLogDataModule,
+        args=args,
+        save_config_kwargs={"overwrite": True},
+        seed_everything_default=0,
     )

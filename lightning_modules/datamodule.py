@@ -32,9 +32,7 @@ def collate(samples: list[TrainingSample]) -> Batch:
     """Pack the clouds of several samples one after the other."""
     counts = torch.tensor([len(s.points) for s in samples])
     index = torch.arange(len(samples))
-    parts = {
-        f.name: torch.cat([getattr(s.truth, f.name) for s in samples]) for f in fields(Truth)
-    }
+    parts = {f.name: torch.cat([getattr(s.truth, f.name) for s in samples]) for f in fields(Truth)}
     parts["shape"] = index.repeat_interleave(torch.tensor([len(s.truth.p) for s in samples]))
     points = torch.cat([s.points for s in samples])
     return Batch(points, index.repeat_interleave(counts), Truth(**parts))
@@ -56,7 +54,11 @@ class SeededSampler(Sampler[tuple[int, int]]):
     def __iter__(self) -> Iterator[tuple[int, int]]:
         epoch = self.epoch if self.shuffle else 0
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + epoch)
-        order = torch.randperm(self.size, generator=generator) if self.shuffle else torch.arange(self.size)
+        order = (
+            torch.randperm(self.size, generator=generator)
+            if self.shuffle
+            else torch.arange(self.size)
+        )
         seeds = torch.randint(1 << 60, (self.size,), generator=generator)
         start, self.skip = self.skip, 0
         yield from zip(order[start:].tolist(), seeds[start:].tolist(), strict=True)
@@ -78,9 +80,16 @@ class ExpLogDataModule(L.LightningDataModule):
     """
 
     def __init__(
-        self, roots: list[str], batch_size: int = 1, sources: int = 13, vectors: int = 768,
-        augmentation: Augmentation | None = None, validation: float = 0.03,
-        limit_validation: int = 32, seed: int = 0, workers: int = 0,
+        self,
+        roots: list[str],
+        batch_size: int = 1,
+        sources: int = 13,
+        vectors: int = 768,
+        augmentation: Augmentation | None = None,
+        validation: float = 0.03,
+        limit_validation: int = 32,
+        seed: int = 0,
+        workers: int = 0,
     ) -> None:
         super().__init__()
         self.roots, self.batch_size = roots, batch_size
@@ -112,7 +121,11 @@ class ExpLogDataModule(L.LightningDataModule):
 
     def _loader(self, data: ShapeDataset, sampler: SeededSampler | None) -> DataLoader:
         return DataLoader(
-            data, self.batch_size, sampler=sampler, collate_fn=collate, num_workers=self.workers,
+            data,
+            self.batch_size,
+            sampler=sampler,
+            collate_fn=collate,
+            num_workers=self.workers,
             persistent_workers=self.workers > 0,
         )
 
@@ -129,7 +142,8 @@ class ExpLogDataModule(L.LightningDataModule):
             return {}
         batches = trainer.fit_loop.epoch_loop.batch_progress.current.completed
         return {
-            "epoch": trainer.current_epoch, "seen": batches * self.batch_size,
+            "epoch": trainer.current_epoch,
+            "seen": batches * self.batch_size,
             "size": len(self.train),
         }
 

@@ -40,17 +40,17 @@ def export(checkpoint: str | Path, weights: str | Path, facts: dict[str, Any]) -
     weights = Path(weights)
     card = weights.with_suffix(".json")
     training = {
-        "steps": state["global_step"], "epochs": state["epoch"],
+        "steps": state["global_step"],
+        "epochs": state["epoch"],
         "hyper_parameters": state["hyper_parameters"],
         "parameters": sum(x.numel() for x in field.parameters()),
     }
     versions = {
-        "riemlayer": riemlayer.__version__, "torch": torch.__version__,
+        "riemlayer": riemlayer.__version__,
+        "torch": torch.__version__,
         "python": platform.python_version(),
     }
-    save_field(
-        field, weights, card, torch.float16, training=training, versions=versions, **facts
-    )
+    save_field(field, weights, card, torch.float16, training=training, versions=versions, **facts)
     return card
 
 

@@ -29,8 +29,12 @@ class ExpLogPretraining(L.LightningModule):
     """
 
     def __init__(
-        self, preset: str = "base", losses: LossWeights | None = None,
-        learning_rate: float = 1e-3, weight_decay: float = 1e-4, warmup: int = 200,
+        self,
+        preset: str = "base",
+        losses: LossWeights | None = None,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 1e-4,
+        warmup: int = 200,
         start_from: str | None = None,
     ) -> None:
         super().__init__()
@@ -48,7 +52,9 @@ class ExpLogPretraining(L.LightningModule):
         losses = explog_losses(surface, batch.truth, self.losses)
         names = {f"train/{name}": loss for name, loss in losses.items()}
         self.log_dict(names, batch_size=len(batch.truth.p))
-        self.log("loss", losses["total"], prog_bar=True, logger=False, batch_size=len(batch.truth.p))
+        self.log(
+            "loss", losses["total"], prog_bar=True, logger=False, batch_size=len(batch.truth.p)
+        )
         return losses["total"]
 
     @torch.no_grad()
@@ -61,13 +67,17 @@ class ExpLogPretraining(L.LightningModule):
         near = good & (truth.v.norm(dim=-1) < 0.1)
         off_exp, off_log = (exp - truth.q).norm(dim=-1), (log - truth.v).norm(dim=-1)
         metrics = {
-            "val/exp": off_exp[good].mean(), "val/log": off_log[good].mean(),
-            "val/exp_near": off_exp[near].mean(), "val/log_near": off_log[near].mean(),
+            "val/exp": off_exp[good].mean(),
+            "val/log": off_log[good].mean(),
+            "val/exp_near": off_exp[near].mean(),
+            "val/log_near": off_log[near].mean(),
         }
         self.log_dict(metrics, prog_bar=True, batch_size=len(truth.p))
 
     def configure_gradient_clipping(
-        self, optimizer: Any, gradient_clip_val: float | None = None,
+        self,
+        optimizer: Any,
+        gradient_clip_val: float | None = None,
         gradient_clip_algorithm: str | None = None,
     ) -> None:
         """By norm; Lightning itself refuses to clip for a fused optimiser."""

@@ -5,6 +5,11 @@ from riemlayer.field import ExpLogField
 from riemlayer.surface import EncodedSurface, MapInfo
 
 __all__ = [
-    "BackboneConfig", "EncodedSurface", "ExpLogField", "FieldConfig", "HeadConfig", "MapInfo",
+    "BackboneConfig",
+    "EncodedSurface",
+    "ExpLogField",
+    "FieldConfig",
+    "HeadConfig",
+    "MapInfo",
 ]
 __version__ = "0.1.0"

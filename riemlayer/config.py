@@ -32,9 +32,13 @@ class BackboneConfig:
                 f"{self.encoder_blocks} must describe the same number of stages"
             )
         if len(self.decoder_blocks) != stages:
-            raise ValueError(f"decoder_blocks must have {stages} entries, got {self.decoder_blocks}")
+            raise ValueError(
+                f"decoder_blocks must have {stages} entries, got {self.decoder_blocks}"
+            )
         if not stages <= self.depth <= 10:
-            raise ValueError(f"depth must lie in [{stages}, 10] (one level a stage), got {self.depth}")
+            raise ValueError(
+                f"depth must lie in [{stages}, 10] (one level a stage), got {self.depth}"
+            )
 
 
 @dataclass(frozen=True)
@@ -89,10 +93,17 @@ class FieldConfig:
     def tiny(cls) -> FieldConfig:
         """For tests and examples: trains and answers in under a second on a processor."""
         backbone = BackboneConfig(
-            depth=4, stem=16, encoder=(16, 16, 32), encoder_blocks=(1, 1),
-            decoder=(32, 32, 32), decoder_blocks=(1, 1), embedding=48,
+            depth=4,
+            stem=16,
+            encoder=(16, 16, 32),
+            encoder_blocks=(1, 1),
+            decoder=(32, 32, 32),
+            decoder_blocks=(1, 1),
+            embedding=48,
         )
-        return cls(backbone, HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=4))
+        return cls(
+            backbone, HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=4)
+        )
 
     @classmethod
     def preset(cls, name: str) -> FieldConfig:
@@ -110,9 +121,13 @@ class FieldConfig:
     def from_dict(cls, values: dict) -> FieldConfig:
         """Inverse of `to_dict`; unknown names raise."""
         try:
-            tuples = {k: tuple(v) if isinstance(v, list) else v for k, v in values["backbone"].items()}
+            tuples = {
+                k: tuple(v) if isinstance(v, list) else v for k, v in values["backbone"].items()
+            }
             return replace(
-                cls(), backbone=BackboneConfig(**tuples), head=HeadConfig(**values["head"]),
+                cls(),
+                backbone=BackboneConfig(**tuples),
+                head=HeadConfig(**values["head"]),
                 **{k: v for k, v in values.items() if k not in ("backbone", "head")},
             )
         except (KeyError, TypeError) as error:

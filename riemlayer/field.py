@@ -69,8 +69,8 @@ class ExpLogField(Pretrained, nn.Module):
     def encode(self, points: Tensor, batch: Tensor | None = None) -> EncodedSurface:
         """Encode raw clouds once (Sec. 3.1).
 
-        Each cloud is centred and scaled by its own bounding box to the cube [-1, 1]^3; a cloud gives
-        the same surface alone or in a batch, and the order of its points does not matter.
+        Each cloud is centred and scaled by its own bounding box to the cube [-1, 1]^3; a cloud
+        gives the same surface alone or in a batch, and the order of its points does not matter.
 
         Args:
             points: (N, 3) of one cloud, or of several packed one after the other; any unit.
@@ -102,7 +102,9 @@ class ExpLogField(Pretrained, nn.Module):
         """Embedding field of packed clouds (N, 3) that already lie in the cube."""
         backbone = self.config.backbone
         finest = backbone.depth + 1
-        octree = build_octree(points, batch, finest, coarsest=backbone.depth - len(backbone.encoder) + 1)
+        octree = build_octree(
+            points, batch, finest, coarsest=backbone.depth - len(backbone.encoder) + 1
+        )
         with self.half_precision():
             planes = local_planes(points, octree)
             z = self.backbone(points, octree, planes)
@@ -110,10 +112,15 @@ class ExpLogField(Pretrained, nn.Module):
         return Embedding(z.to(points.dtype), narrow, octree.level(backbone.depth), planes)
 
     def forward(
-        self, points: Tensor, p: Tensor, v: Tensor | None = None, q: Tensor | None = None,
-        batch: Tensor | None = None, shape: Tensor | None = None,
+        self,
+        points: Tensor,
+        p: Tensor,
+        v: Tensor | None = None,
+        q: Tensor | None = None,
+        batch: Tensor | None = None,
+        shape: Tensor | None = None,
     ) -> FieldOutput:
-        """Encode, then Exp_p(v) and Log_p(q): the whole of Fig. 2 in one call, for DDP and compile."""
+        """Encode, then Exp_p(v) and Log_p(q): all of Fig. 2 in one call, for DDP and compile."""
         surface = self.encode(points, batch)
         exp = None if v is None else surface.exp(p, v, shape=shape)
         log = None if q is None else surface.log(p, q, shape=shape)

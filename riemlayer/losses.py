@@ -138,8 +138,8 @@ class Truth:
 def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -> dict[str, Tensor]:
     """Eq. (1) and its terms, by name; lengths in the normalised cube.
 
-    Eq. (3) needs Jacobians, the costly part: it is averaged over every eighth query, and Eq. (4) over
-    every fourth, where the paper takes all.
+    Eq. (3) needs Jacobians, the costly part: it is averaged over every eighth query, and Eq. (4)
+    over every fourth, where the paper takes all.
     """
     p, v, q = truth.p[:, None], truth.v, truth.q
     shape = truth.shape[:, None]
@@ -157,7 +157,9 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
     }
     total = weights.rec * (terms["exp"] + terms["log"])
     if weights.pairs:
-        terms["pairs"] = pair_loss(off_exp, v / scale, weight) + pair_loss(off_log, q / scale, weight)
+        terms["pairs"] = pair_loss(off_exp, v / scale, weight) + pair_loss(
+            off_log, q / scale, weight
+        )
         total = total + weights.pairs * terms["pairs"]
     if weights.cyc:
         some = slice(None, None, 4)

@@ -26,18 +26,18 @@ def normalise(x: Tensor) -> Tensor:
 
 
 def segment_sum(x: Tensor, index: Tensor, size: int) -> Tensor:
-    """Sum of the rows of `x` (N, C) that share an `index` (N,), as (size, C); empty groups give 0."""
+    """Sum of the rows of `x` (N, C) with the same `index` (N,): (size, C); empty groups give 0."""
     return x.new_zeros(size, *x.shape[1:]).index_add(0, index, x)
 
 
 def segment_mean(x: Tensor, index: Tensor, size: int) -> Tensor:
-    """Mean of the rows of `x` (N, C) that share an `index` (N,), as (size, C); empty groups give 0."""
+    """Mean of the rows of `x` (N, C) with the same `index` (N,): (size, C); empty groups give 0."""
     count = segment_sum(x.new_ones(len(x), 1), index, size)
     return segment_sum(x, index, size) / count.clamp_min(1)
 
 
 def segment_max(x: Tensor, index: Tensor, size: int) -> Tensor:
-    """Maximum of the rows of `x` (N, C) that share an `index` (N,), as (size, C); empty groups give 0.
+    """Maximum of the rows of `x` (N, C) with the same `index` (N,): (size, C); empty groups give 0.
 
     Rows that tie for a maximum share its gradient equally.
     """
@@ -116,7 +116,7 @@ def outer6(n: Tensor) -> Tensor:
 
 
 def symmetric_eigenvalues(m: Tensor) -> Tensor:
-    """Eigenvalues, ascending, of symmetric matrices given by their six entries (..., 6) -> (..., 3).
+    """Eigenvalues, ascending, of symmetric matrices given by six entries: (..., 6) -> (..., 3).
 
     Closed form (Smith 1961): 20 times faster on a CPU than a batched `eigh` of 3x3 matrices.
 
@@ -145,7 +145,7 @@ def smallest_eigenvector(m: Tensor, low: Tensor) -> Tensor:
     """
     a, b, c, d, e, f = m.unbind(-1)
     rows = torch.stack((a - low, d, e, d, b - low, f, e, f, c - low), -1).unflatten(-1, (3, 3))
-    crosses = torch.linalg.cross(rows, rows.roll(1, -2))                          # (..., 3, 3)
+    crosses = torch.linalg.cross(rows, rows.roll(1, -2))  # (..., 3, 3)
     squares = crosses.square().sum(-1)
     best = squares.argmax(-1, keepdim=True)
     n = crosses.gather(-2, best[..., None].expand(*best.shape, 3)).squeeze(-2)

@@ -37,8 +37,12 @@ def lay_out(p: Tensor, x: Tensor, shape: Tensor) -> tuple[Tensor, Tensor, Tensor
 
 
 def in_chunks(
-    head: Callable[[Tensor, Tensor, Tensor], MapOutput], p: Tensor, x: Tensor, shape: Tensor,
-    queries: int, sources: int,
+    head: Callable[[Tensor, Tensor, Tensor], MapOutput],
+    p: Tensor,
+    x: Tensor,
+    shape: Tensor,
+    queries: int,
+    sources: int,
 ) -> MapOutput:
     """`head(p, x, shape)` on at most `queries` queries and `sources` sources at once."""
     s, k = x.shape[:2]
@@ -55,7 +59,10 @@ def in_chunks(
 
 
 def _concatenate(outputs: list[MapOutput], dim: int) -> MapOutput:
-    return outputs[0] if len(outputs) == 1 else MapOutput(*map(torch.cat, zip(*outputs), (dim, dim)))
+    if len(outputs) == 1:
+        return outputs[0]
+    vectors, validities = zip(*outputs, strict=True)
+    return MapOutput(torch.cat(vectors, dim), torch.cat(validities, dim))
 
 
 def value_and_jacobian(f: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
@@ -65,7 +72,8 @@ def value_and_jacobian(f: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor
     """
 
     def push(axis: Tensor) -> tuple[Tensor, Tensor]:
-        return jvp(f, (x,), (axis.expand_as(x),))
+        value, tangent = jvp(f, (x,), (axis.expand_as(x),))  # pyright: ignore[reportAssignmentType]
+        return value, tangent
 
     axes = torch.eye(3, dtype=x.dtype, device=x.device)
-    return vmap(push, out_dims=(None, -1))(axes)
+    return vmap(push, out_dims=(None, -1))(axes)  # pyright: ignore[reportArgumentType]

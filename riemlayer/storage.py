@@ -1,4 +1,4 @@
-"""Saving and loading: safetensors weights beside a JSON card, packaged names offline, hub by mixin."""
+"""Saving and loading: safetensors beside a JSON card, packaged names offline, hub by mixin."""
 
 from __future__ import annotations
 
@@ -34,7 +34,11 @@ class Pretrained(ModelHubMixin, library_name="riemlayer", tags=["geometry"]):
         >>> ExpLogField.from_pretrained("base").config.radius
         0.5
         """
-        packaged = resources.files("riemlayer") / "weights" / f"{pretrained_model_name_or_path}.safetensors"
+        packaged = (
+            resources.files("riemlayer")
+            / "weights"
+            / f"{pretrained_model_name_or_path}.safetensors"
+        )
         if packaged.is_file():
             with resources.as_file(packaged) as weights:
                 return cls._read(weights, weights.with_suffix(".json"))
@@ -46,7 +50,9 @@ class Pretrained(ModelHubMixin, library_name="riemlayer", tags=["geometry"]):
         if folder.is_dir():
             for name in (WEIGHTS, CARD):
                 if not (folder / name).is_file():
-                    raise FileNotFoundError(f"{folder} holds no {name}: not saved by save_pretrained")
+                    raise FileNotFoundError(
+                        f"{folder} holds no {name}: not saved by save_pretrained"
+                    )
             return cls._read(folder / WEIGHTS, folder / CARD)
         known = ("revision", "cache_dir", "force_download", "token", "local_files_only")
         options = {k: kwargs[k] for k in known if k in kwargs}
@@ -73,10 +79,15 @@ class Pretrained(ModelHubMixin, library_name="riemlayer", tags=["geometry"]):
 
 
 def save_field(
-    field: torch.nn.Module, weights: Path, card: Path, dtype: torch.dtype | None = None,
+    field: torch.nn.Module,
+    weights: Path,
+    card: Path,
+    dtype: torch.dtype | None = None,
     **facts: Any,
 ) -> None:
     """Write the weights, as `dtype` where given, and a JSON card of configuration and `facts`."""
-    state = {k: x.detach().cpu().to(dtype or x.dtype).contiguous() for k, x in field.state_dict().items()}
+    state = {
+        k: x.detach().cpu().to(dtype or x.dtype).contiguous() for k, x in field.state_dict().items()
+    }
     save_file(state, weights)
     card.write_text(json.dumps({"config": field.config.to_dict(), **facts}, indent=2) + "\n")  # pyright: ignore

@@ -32,21 +32,21 @@ class MapInfo(NamedTuple):
     in_support: Tensor
     """bool: the base point lies in or beside an occupied cell of the octree."""
     cycle_error: Tensor
-    """|Log_p(Exp_p(v)) - v| for Exp, |Exp_p(Log_p(q)) - q| for Log, Eq. (4), in the user's units."""
+    """Eq. (4): |Log_p(Exp_p(v)) - v| for Exp, |Exp_p(Log_p(q)) - q| for Log, user's units."""
 
 
 @dataclass(frozen=True)
 class EncodedSurface:
     """A cloud after its one pass through the backbone: Exp and Log from any source point.
 
-    Made by `ExpLogField.encode`. Points and vectors are in the user's units. `p` is always the first
-    argument and broadcasts with the query: `exp(p[:, None], v)` with p (S, 3) and v (S, K, 3) decodes
-    K queries for each of S sources, and generates the planes of each source once.
+    Made by `ExpLogField.encode`. Points and vectors are in the user's units. `p` is always the
+    first argument and broadcasts with the query: `exp(p[:, None], v)` with p (S, 3) and v (S, K, 3)
+    decodes K queries for each of S sources, and generates the planes of each source once.
 
     Beyond the trained radius (`surface.radius`) answers are extrapolations of low validity. A base
     point off the cloud's support reads the nearest embedding and has `in_support` False. For a
-    packed batch, either index the surface (`surface[i]`) or pass `shape`, the index of the cloud that
-    each base point belongs to.
+    packed batch, either index the surface (`surface[i]`) or pass `shape`, the index of the cloud
+    that each base point belongs to.
 
     >>> from riemlayer import ExpLogField
     >>> field = ExpLogField.from_preset("tiny")
@@ -67,7 +67,7 @@ class EncodedSurface:
 
     @property
     def radius(self) -> Tensor:
-        """Trained tangent radius of each cloud (B,), in the user's units; a scalar for one cloud."""
+        """Trained tangent radius of each cloud (B,), user's units; a scalar for one cloud."""
         radius = self.field.config.radius * self.scale
         return radius[self.only or 0] if len(self) == 1 else radius
 
@@ -92,16 +92,31 @@ class EncodedSurface:
 
     @overload
     def exp(
-        self, p: Tensor, v: Tensor, *, shape: Tensor | None = ..., chunk_size: int = ...,
+        self,
+        p: Tensor,
+        v: Tensor,
+        *,
+        shape: Tensor | None = ...,
+        chunk_size: int = ...,
         return_info: Literal[False] = ...,
     ) -> Tensor: ...
     @overload
     def exp(
-        self, p: Tensor, v: Tensor, *, shape: Tensor | None = ..., chunk_size: int = ...,
+        self,
+        p: Tensor,
+        v: Tensor,
+        *,
+        shape: Tensor | None = ...,
+        chunk_size: int = ...,
         return_info: Literal[True],
     ) -> tuple[Tensor, MapInfo]: ...
     def exp(
-        self, p: Tensor, v: Tensor, *, shape: Tensor | None = None, chunk_size: int = CHUNK,
+        self,
+        p: Tensor,
+        v: Tensor,
+        *,
+        shape: Tensor | None = None,
+        chunk_size: int = CHUNK,
         return_info: bool = False,
     ) -> Tensor | tuple[Tensor, MapInfo]:
         """Exponential map q = Exp_p(v) (Sec. 3): where the geodesic from p along v ends.
@@ -129,16 +144,31 @@ class EncodedSurface:
 
     @overload
     def log(
-        self, p: Tensor, q: Tensor, *, shape: Tensor | None = ..., chunk_size: int = ...,
+        self,
+        p: Tensor,
+        q: Tensor,
+        *,
+        shape: Tensor | None = ...,
+        chunk_size: int = ...,
         return_info: Literal[False] = ...,
     ) -> Tensor: ...
     @overload
     def log(
-        self, p: Tensor, q: Tensor, *, shape: Tensor | None = ..., chunk_size: int = ...,
+        self,
+        p: Tensor,
+        q: Tensor,
+        *,
+        shape: Tensor | None = ...,
+        chunk_size: int = ...,
         return_info: Literal[True],
     ) -> tuple[Tensor, MapInfo]: ...
     def log(
-        self, p: Tensor, q: Tensor, *, shape: Tensor | None = None, chunk_size: int = CHUNK,
+        self,
+        p: Tensor,
+        q: Tensor,
+        *,
+        shape: Tensor | None = None,
+        chunk_size: int = CHUNK,
         return_info: bool = False,
     ) -> Tensor | tuple[Tensor, MapInfo]:
         """Logarithmic map v = Log_p(q) (Sec. 3): the tangent vector at p that leads to q.
@@ -169,8 +199,8 @@ class EncodedSurface:
     ) -> tuple[Tensor, Tensor]:
         """Exp_p(v) (..., 3) and its Jacobian in v (..., 3, 3), in one forward pass.
 
-        Three tangents are carried through prior, sampler, decoder and refinement in forward mode, so
-        a loss on J needs only a first-order backward. Arguments and errors as for `exp`.
+        Three tangents are carried through prior, sampler and decoder in forward mode, so a loss on
+        J needs only a first-order backward. Arguments and errors as for `exp`.
         """
         p, v = self._checked(p, "v", v)
         q, jacobian = value_and_jacobian(lambda x: self.decode_exp(p, x, shape, CHUNK)[0], v)
@@ -242,6 +272,8 @@ class EncodedSurface:
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> EncodedSurface:
         return replace(
-            self, embedding=self.embedding.map(change), centre=change(self.centre),
+            self,
+            embedding=self.embedding.map(change),
+            centre=change(self.centre),
             scale=change(self.scale),
         )

@@ -1,4 +1,4 @@
-"""Octree convolutions: gather, one matrix product, and a backward that gathers again (no scatter)."""
+"""Octree convolutions: gather, one matrix product, a backward that gathers again (no scatter)."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _links(fine: Level, coarse: Level) -> tuple[Tensor, Tensor]:
 
 
 def _columns(x: Tensor, index: Tensor) -> Tensor:
-    """Rows of x (n, C) named by index (m, k), side by side as (m, k C); index n is a row of zeros."""
+    """Rows of x (n, C) named by index (m, k), side by side as (m, k C); row n is zeros."""
     padded = torch.cat((x, x.new_zeros(1, x.shape[1])))
     return padded.index_select(0, index.flatten()).view(len(index), -1)
 
@@ -97,7 +97,7 @@ def _columns(x: Tensor, index: Tensor) -> Tensor:
 class _Conv(torch.autograd.Function):
     @staticmethod
     def forward(ctx, x: Tensor, weight: Tensor, neighbours: Tensor) -> Tensor:
-        columns = _columns(x, neighbours)                                          # (n, 27 C)
+        columns = _columns(x, neighbours)  # (n, 27 C)
         ctx.save_for_backward(columns, weight, neighbours)
         return columns @ weight
 
@@ -107,8 +107,8 @@ class _Conv(torch.autograd.Function):
         grad = grad.contiguous()
         dx = dw = None
         if ctx.needs_input_grad[0]:  # x_j met W_k at the node that j sees at the mirrored offset
-            blocks = weight.unflatten(0, (27, -1)).flip(0)                         # (27, C, D)
-            dx = _columns(grad, neighbours) @ blocks.mT.flatten(0, 1)              # (n, C)
+            blocks = weight.unflatten(0, (27, -1)).flip(0)  # (27, C, D)
+            dx = _columns(grad, neighbours) @ blocks.mT.flatten(0, 1)  # (n, C)
         if ctx.needs_input_grad[1]:
             dw = columns.mT @ grad
         return dx, dw, None
@@ -117,14 +117,14 @@ class _Conv(torch.autograd.Function):
 class _Down(torch.autograd.Function):
     @staticmethod
     def forward(ctx, x: Tensor, weight: Tensor, children: Tensor, place: Tensor) -> Tensor:
-        columns = _columns(x, children)                                            # (m, 8 C)
+        columns = _columns(x, children)  # (m, 8 C)
         ctx.save_for_backward(columns, weight, place)
         return columns @ weight
 
     @staticmethod
     def backward(ctx, grad: Tensor):
         columns, weight, place = ctx.saved_tensors
-        spread = (grad @ weight.mT).view(8 * len(columns), -1)                     # (8 m, C)
+        spread = (grad @ weight.mT).view(8 * len(columns), -1)  # (8 m, C)
         return spread.index_select(0, place), columns.mT @ grad, None, None
 
 
@@ -132,10 +132,10 @@ class _Up(torch.autograd.Function):
     @staticmethod
     def forward(ctx, x: Tensor, weight: Tensor, children: Tensor, place: Tensor) -> Tensor:
         ctx.save_for_backward(x, weight, children)
-        return (x @ weight).view(8 * len(x), -1).index_select(0, place)            # (n, D)
+        return (x @ weight).view(8 * len(x), -1).index_select(0, place)  # (n, D)
 
     @staticmethod
     def backward(ctx, grad: Tensor):
         x, weight, children = ctx.saved_tensors
-        columns = _columns(grad.contiguous(), children)                            # (m, 8 D)
+        columns = _columns(grad.contiguous(), children)  # (m, 8 D)
         return columns @ weight.mT, x.mT @ columns, None, None

@@ -34,7 +34,7 @@ class PointStem(nn.Module):
         self, points: Tensor, leaf: Tensor, level: Level, planes: LocalPlanes, node: Tensor
     ) -> Tensor:
         offset, summary = leaf_summary(points, leaf, level)
-        plane = planes.point_features(points, node)                                # (N, 11)
+        plane = planes.point_features(points, node)  # (N, 11)
         x = self.points(torch.cat((offset, outer6(offset), plane), -1))
         pooled = (segment_mean(x, leaf, len(level)), segment_max(x, leaf, len(level)))
         return self.join(torch.cat((*pooled, summary.to(x.dtype)), -1))
@@ -54,7 +54,7 @@ class LeafStem(nn.Module):
 
 
 def leaf_summary(points: Tensor, leaf: Tensor, level: Level) -> tuple[Tensor, Tensor]:
-    """Offsets (N, 3) of points in their leaves, in [-1, 1], and per leaf mean offset and log count."""
+    """Offsets (N, 3) of points in their leaves, in [-1, 1]; per leaf, mean offset and log count."""
     offset = (points - level.centres().to(points.dtype)[leaf]) * (2 / level.cell_size)
     count = segment_sum(torch.ones_like(points[:, :1]), leaf, len(level))
     mean = segment_sum(offset, leaf, len(level)) / count

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from torch import Tensor, nn
-from torch.nn import functional as F
+from itertools import pairwise
 
 import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
 
 from riemlayer.backbone.conv import OctreeConv, OctreeDown, OctreeUp
 from riemlayer.backbone.stem import LeafStem, PointStem
@@ -35,7 +36,7 @@ class Stage(nn.Module):
     def __init__(self, inputs: int, outputs: int, blocks: int) -> None:
         super().__init__()
         widths = [inputs, *[outputs] * blocks]
-        self.blocks = nn.ModuleList(ResidualBlock(a, b) for a, b in zip(widths, widths[1:], strict=False))
+        self.blocks = nn.ModuleList(ResidualBlock(a, b) for a, b in pairwise(widths))
 
     def forward(self, x: Tensor, level: Level) -> Tensor:
         for block in self.blocks:

@@ -1,4 +1,4 @@
-"""Local planes of a cloud: a centroid and a PCA normal for each octree node, blended between nodes."""
+"""Local planes of a cloud: centroid and PCA normal of each octree node, blended between nodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NEIGHBOURHOOD = 0.85
 BLEND = 0.5
 """Width, in cells, of the Gaussian that blends the planes around a query."""
 FALLBACK = 1e-3
-"""Weight of the coarse planes beside the fine ones; they alone count where fine nodes are missing."""
+"""Weight of the coarse planes beside the fine ones; they alone count where those are missing."""
 
 
 class PlaneLevel(NamedTuple):
@@ -39,22 +39,23 @@ class PlaneLevel(NamedTuple):
 
     def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
         """Weighted sums (Q, 5) of oriented normals, signed distances of `x`, and the weights."""
-        node, weight = corners(self.level, x, batch)                               # (Q, 8)
+        node, weight = corners(self.level, x, batch)  # (Q, 8)
         rows = [column.index_select(0, node.flatten()).view(-1, 8) for column in self.plane]
-        offset = [x[:, i, None] - rows[i] for i in range(3)]                       # 3 x (Q, 8)
+        offset = [x[:, i, None] - rows[i] for i in range(3)]  # 3 x (Q, 8)
         normal = rows[3:]
         width = BLEND * self.level.cell_size
         square = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
-        weight = weight * torch.exp(square * (-0.5 / width**2))                    # (Q, 8)
-        agree = sum(normal[i] * towards[:, i, None] for i in range(3))
-        sign = torch.where(agree < 0, -weight, weight)                             # (Q, 8)
+        weight = weight * torch.exp(square * (-0.5 / width**2))  # (Q, 8)
+        nx, ny, nz = (normal[i] * towards[:, i, None] for i in range(3))
+        agree = nx + ny + nz
+        sign = torch.where(agree < 0, -weight, weight)  # (Q, 8)
         distance = sign * (normal[0] * offset[0] + normal[1] * offset[1] + normal[2] * offset[2])
         sums = (*(sign * n for n in normal), distance, weight)
         return torch.stack([y.sum(-1) for y in sums], -1)
 
 
 class LocalPlanes(NamedTuple):
-    """Planes at two adjacent levels: fine ones, and coarse ones where the fine nodes are missing."""
+    """Planes at two adjacent levels: fine ones, and coarse ones where fine nodes are missing."""
 
     fine: PlaneLevel
     coarse: PlaneLevel
@@ -63,8 +64,8 @@ class LocalPlanes(NamedTuple):
         """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
 
         Normals take the sign that agrees with `towards` (Q, 3). The weights are trilinear times a
-        Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from every
-        node the normal is `towards` and the distance 0.
+        Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from
+        every node the normal is `towards` and the distance 0.
         """
         sums = self.fine.blend(x, batch, towards)
         thin = (sums[:, 4] < 30 * FALLBACK).nonzero().squeeze(-1)
@@ -112,7 +113,9 @@ def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
     return LocalPlanes(*levels)
 
 
-def _plane_level(moments: Tensor, parent_moments: Tensor, level: Level, parent: Level) -> PlaneLevel:
+def _plane_level(
+    moments: Tensor, parent_moments: Tensor, level: Level, parent: Level
+) -> PlaneLevel:
     around = _neighbourhood_sum(moments, level)
     wide = _neighbourhood_sum(parent_moments, parent)
     assert level.parent is not None
@@ -128,14 +131,14 @@ def _plane_level(moments: Tensor, parent_moments: Tensor, level: Level, parent: 
 
 
 def _moments(x: Tensor) -> Tensor:
-    return torch.cat((torch.ones_like(x[:, :1]), x, outer6(x)), -1)                # (N, 10)
+    return torch.cat((torch.ones_like(x[:, :1]), x, outer6(x)), -1)  # (N, 10)
 
 
 def _neighbourhood_sum(moments: Tensor, level: Level) -> Tensor:
     """Sums (n, 10) over 27 neighbours, weighted by the distance between centroids."""
     centroid = moments[:, 1:4] / moments[:, :1]
     rows = torch.cat((moments, moments.new_zeros(1, 10)))
-    rows = rows.index_select(0, level.neighbours.flatten()).view(-1, 27, 10)       # (n, 27, 10)
+    rows = rows.index_select(0, level.neighbours.flatten()).view(-1, 27, 10)  # (n, 27, 10)
     near = rows[..., 1:4] / rows[..., :1].clamp_min(1e-6)
     width = NEIGHBOURHOOD * level.cell_size
     weight = torch.exp((near - centroid[:, None]).square().sum(-1) * (-0.5 / width**2))

@@ -43,7 +43,7 @@ def walk(planes: LocalPlanes, p: Tensor, v: Tensor, batch: Tensor, steps: int = 
         p: (Q, 3) starts, in the cube.
         v: (Q, 3) tangent vectors.
         batch: (Q,) int64, shape of each start.
-        steps: number of steps; 8 for the trained radius, |v| over half the spacing for the fine walk.
+        steps: number of steps; 8 for the trained radius, |v| over half the spacing for a fine walk.
     """
     x, carried = p, v
     up = torch.zeros_like(p)
@@ -64,8 +64,8 @@ def walk(planes: LocalPlanes, p: Tensor, v: Tensor, batch: Tensor, steps: int = 
 def turn(w: Tensor, n: Tensor, m: Tensor) -> Tensor:
     """Rotate vectors `w`, orthogonal to `n`, by the smallest rotation that takes `n` to `m`.
 
-    Length is kept. Between opposite normals, where the rotation is undefined, the denominator is held
-    above 0.2.
+    Length is kept. Between opposite normals, where the rotation is undefined, the denominator is
+    held above 0.2.
     """
     cosine = (n * m).sum(-1, keepdim=True)
     return w - (w * m).sum(-1, keepdim=True) / (1 + cosine).clamp_min(0.2) * (n + m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -47,7 +48,7 @@ class Decoder(nn.Module):
         super().__init__()
         widths = [inputs, *[config.hidden] * (config.layers - 1)]
         layers = []
-        for a, b in zip(widths, widths[1:], strict=False):
+        for a, b in pairwise(widths):
             layers += [nn.Linear(a, b), nn.GELU()]
         self.body = nn.Sequential(*layers)
         self.out = nn.Linear(config.hidden, 3)
@@ -73,7 +74,7 @@ class MapHead(nn.Module):
         self.valid = nn.Linear(config.hidden, 1)
 
     def decode(self, z: Tensor, x: Tensor, *told: Tensor) -> tuple[Tensor, Tensor]:
-        """Decoder on triplane features at `x` (S, K, 3), on `x` itself and on what else it is told."""
+        """Decoder on triplane features at `x` (S, K, 3), `x` itself and what else it is told."""
         x = x / self.radius
         features = sample_triplane(self.planes(z), x)
         return self.decoder(torch.cat((features.to(x.dtype), x, *told), -1))
@@ -99,11 +100,11 @@ class ExpHead(MapHead):
         super().__init__(embedding, 12 + config.narrow if config.anchored else 0, radius, config)
 
     def forward(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> MapOutput:
-        z, _ = interpolate(field.z, field.level, p, shape)                         # (S, C)
+        z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         if not self.config.anchored:
             hidden, vector = self.decode(z, v)
             return MapOutput(vector, self.validity(hidden))
-        v = torch.cat((torch.zeros_like(v[:, :1]), v), 1)                          # (S, 1 + K, 3)
+        v = torch.cat((torch.zeros_like(v[:, :1]), v), 1)  # (S, 1 + K, 3)
         moved, told = self.prior(field, p, v, shape)
         landed = read_narrow(field, p[:, None] + moved, shape)
         hidden, f = self.decode(z, v, *told, landed)
@@ -125,7 +126,7 @@ class ExpHead(MapHead):
 
 
 class LogHead(MapHead):
-    """Log_p(q) = x + |x| (h(x) - h(0)) with x = q - p (ours), h told the embedding at q and half-way.
+    """Log_p(q) = x + |x| (h(x) - h(0)), x = q - p, h told the embedding at q and half-way (ours).
 
     Log_p(p) = 0 and d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet:
     v = h(x).
@@ -135,12 +136,12 @@ class LogHead(MapHead):
         super().__init__(embedding, 2 * config.narrow, radius, config)
 
     def forward(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> MapOutput:
-        z, _ = interpolate(field.z, field.level, p, shape)                         # (S, C)
+        z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         x = q - p[:, None]
         if not self.config.anchored:
             hidden, vector = self.decode(z, x)
             return MapOutput(vector, self.validity(hidden))
-        x = torch.cat((torch.zeros_like(x[:, :1]), x), 1)                          # (S, 1 + K, 3)
+        x = torch.cat((torch.zeros_like(x[:, :1]), x), 1)  # (S, 1 + K, 3)
         told = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         hidden, h = self.decode(z, x, *told)
         vector = x + safe_norm(x) * (h - h[:, :1])

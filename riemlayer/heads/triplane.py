@@ -1,4 +1,4 @@
-"""Hyper-modulated triplanes (Sec. 3.2): an embedding makes three feature planes, queries sample them."""
+"""Hyper-modulated triplanes (Sec. 3.2): an embedding makes three planes, queries sample them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ PLANES = ((0, 1), (0, 2), (1, 2))
 def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     """Bilinear features of queries on three planes (Sec. 3.2, step 2).
 
-    Gather-based, because `F.grid_sample` has no forward-mode derivative. Corners are aligned: -1 and
-    1 are the outermost samples. A query outside [-1, 1] takes the value at the border.
+    Gather-based, because `F.grid_sample` has no forward-mode derivative. Corners are aligned: -1
+    and 1 are the outermost samples. A query outside [-1, 1] takes the value at the border.
 
     Args:
         planes: (S, 3, R, R, C), the last two axes before C indexed by the coordinates of `PLANES`.
@@ -27,13 +27,13 @@ def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     torch.Size([2, 7, 15])
     """
     s, _, r, _, c = planes.shape
-    t = (x.clamp(-1, 1) + 1) * ((r - 1) / 2)                                       # (S, K, 3)
+    t = (x.clamp(-1, 1) + 1) * ((r - 1) / 2)  # (S, K, 3)
     low = t.detach().floor().clamp_max(r - 2)
-    fraction = (t - low)[..., PLANES]                                              # (S, K, 3, 2)
+    fraction = (t - low)[..., PLANES]  # (S, K, 3, 2)
     cell = low.long()[..., PLANES]
     plane = torch.arange(3 * s, device=x.device).view(s, 1, 3)
-    row = (plane * r + cell[..., 0]) * r + cell[..., 1]                            # (S, K, 3)
-    row = row[..., None] + torch.tensor([0, 1, r, r + 1], device=x.device)         # (S, K, 3, 4)
+    row = (plane * r + cell[..., 0]) * r + cell[..., 1]  # (S, K, 3)
+    row = row[..., None] + torch.tensor([0, 1, r, r + 1], device=x.device)  # (S, K, 3, 4)
     f, g = fraction.unbind(-1)
     weight = torch.stack(((1 - f) * (1 - g), (1 - f) * g, f * (1 - g), f * g), -1)
     table = planes.reshape(-1, c).to(x.dtype)

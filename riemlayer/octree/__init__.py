@@ -9,8 +9,18 @@ from riemlayer.octree.interpolate import (
     nearest_node,
 )
 from riemlayer.octree.keys import decode_key, encode_key
+from riemlayer.octree.search import knn, radius_search
 
 __all__ = [
-    "HALF_WIDTH", "Corners", "Level", "Octree", "build_octree", "corners", "decode_key",
-    "encode_key", "interpolate", "interpolate_or_zero", "nearest_node",
+    "HALF_WIDTH",
+    "Corners",
+    "Level",
+    "Octree",
+    "build_octree",
+    "corners",
+    "decode_key",
+    "encode_key",
+    "interpolate",
+    "interpolate_or_zero",
+    "nearest_node",
 ]

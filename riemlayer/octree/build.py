@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -30,8 +30,8 @@ class Level:
     key: Tensor
     """(n,) int64, ascending."""
     grid: Tensor | None
-    """(batch_size (2^depth + 2)^3,) int32: node of each cell, with a border of one empty cell around
-    each shape; None where that is too large."""
+    """(batch_size (2^depth + 2)^3,) int32: node of each cell, with a border of one empty cell
+    around each shape; None where that is too large."""
     neighbours: Tensor
     """(n, 27) int64: nodes at offsets (-1, -1, -1), (-1, -1, 0) ... (1, 1, 1)."""
     children: Tensor | None
@@ -64,9 +64,9 @@ class Level:
         return self.key >> 3 * self.depth
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Level:
-        """The same level with `change`, such as a move to another device, applied to its tensors."""
-        values = (getattr(self, f.name) for f in fields(self))
-        return Level(*(change(x) if isinstance(x, Tensor) else x for x in values))
+        """The same level with `change`, such as a move to another device, on its tensors."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{k: change(x) for k, x in values.items() if isinstance(x, Tensor)})
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,8 @@ def _around(
     if grid is not None:
         side = (1 << depth) + 2
         steps = offsets @ offsets.new_tensor([side * side, side, 1])
-        return grid[_linear(cell, batch, side)[:, None] + steps].long()             # (Q, k)
-    cell = cell[:, None] + offsets                                                 # (Q, k, 3)
+        return grid[_linear(cell, batch, side)[:, None] + steps].long()  # (Q, k)
+    cell = cell[:, None] + offsets  # (Q, k, 3)
     inside = ((cell >= 0) & (cell < 1 << depth)).all(-1)
     x, y, z = (spread_bits(c) for c in cell.clamp(0, (1 << depth) - 1).unbind(-1))
     query = batch[:, None] << 3 * depth | x << 2 | y << 1 | z

@@ -34,11 +34,11 @@ def corners(level: Level, x: Tensor, batch: Tensor) -> Corners:
     Queries beyond the outermost cell centres are moved onto them, so no weight is ever negative.
     """
     last = (1 << level.depth) - 1
-    t = ((x + HALF_WIDTH) / level.cell_size - 0.5).clamp(0, last)                  # (Q, 3)
+    t = ((x + HALF_WIDTH) / level.cell_size - 0.5).clamp(0, last)  # (Q, 3)
     cell = t.detach().floor().clamp_max(max(last - 1, 0))
     fraction = t - cell
-    node = level.around(cell.long(), batch, OCTANTS.to(x.device))                  # (Q, 8)
-    wx, wy, wz = torch.stack((1 - fraction, fraction), -1).unbind(1)               # (Q, 2)
+    node = level.around(cell.long(), batch, OCTANTS.to(x.device))  # (Q, 8)
+    wx, wy, wz = torch.stack((1 - fraction, fraction), -1).unbind(1)  # (Q, 2)
     weight = wx[:, :, None, None] * wy[:, None, :, None] * wz[:, None, None, :]
     return Corners(node, weight.flatten(1) * (node < len(level)))
 

@@ -44,7 +44,9 @@ def encode_key(cell: Tensor, batch: Tensor, depth: int) -> Tensor:
     if not 0 <= depth <= MAX_DEPTH:
         raise ValueError(f"depth must lie in [0, {MAX_DEPTH}] (16 bits a coordinate), got {depth}")
     if batch.numel() and int(batch.max()) >= MAX_BATCH:
-        raise ValueError(f"batch must hold fewer than {MAX_BATCH} shapes, got {int(batch.max()) + 1}")
+        raise ValueError(
+            f"batch must hold fewer than {MAX_BATCH} shapes, got {int(batch.max()) + 1}"
+        )
     if cell.numel() and (int(cell.min()) < 0 or int(cell.max()) >= 1 << depth):
         raise ValueError(
             f"cell must lie in [0, {1 << depth}) at depth {depth}, "
