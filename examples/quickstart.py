@@ -57,7 +57,7 @@ def main() -> None:
         best = most_in_view(shape.points, p, normal)
         drawings = draw(surface, shape, p[best], normal[best])
 
-    view = viewpoint(shape.points, p[best], normal[best])
+    view = viewpoint(shape.points, normal[best])
     args.output.mkdir(parents=True, exist_ok=True)
     size = 240 if args.fast else 640
     png = write_png(args.output / f"{name}.png", *drawings, view=view, size=size)
@@ -129,16 +129,19 @@ def milliseconds(run: Callable[[], object]) -> str:
 
 
 def cloud_sources(shape: LoadedShape, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random points and their normals, with most of the shape behind them."""
     index = np.random.default_rng(0).choice(len(shape.points), count, replace=False)
-    return shape.points[index], Drawing(shape.points).normals[index]
+    p, normal = shape.points[index], Drawing(shape.points).normals[index]
+    above = (((shape.points - p[:, None]) * normal[:, None]).sum(-1) > 0).mean(1)
+    return p, np.where(above[:, None] > 0.5, -normal, normal)
 
 
 def most_in_view(points: np.ndarray, p: np.ndarray, normal: np.ndarray) -> int:
-    """The source with much surface within reach, and most of the shape on one side of it."""
+    """The source with much surface within reach, and most of the shape behind it."""
     offset = points - p[:, None]
-    above = ((offset * normal[:, None]).sum(-1) > 0).mean(1)
+    behind = ((offset * normal[:, None]).sum(-1) <= 0).mean(1)
     within = (np.linalg.norm(offset, axis=-1) < RADIUS).mean(1)
-    return int((within * np.maximum(above, 1 - above)).argmax())
+    return int((within * behind).argmax())
 
 
 def draw(surface: EncodedSurface, shape: LoadedShape, p: np.ndarray, normal: np.ndarray) -> list:
@@ -157,17 +160,19 @@ def draw(surface: EncodedSurface, shape: LoadedShape, p: np.ndarray, normal: np.
         flat = np.where(away[:, None], 10 * RADIUS, tangent_coordinates(values, normal))
         return Drawing(canvas, shape.faces, log=flat, p=p, radius=RADIUS, title=title)
 
-    fan = {"p": p, "paths": paths, "title": "Exp (orange) on the raw cloud"}
     if shape.faces is None:
-        return [Drawing(shape.points, **fan), checkered(log, "Log")]
+        return [Drawing(canvas, p=p, paths=paths, title="Exp"), checkered(log, "Log")]
     tracer, heat = MeshTracer(), MeshHeat()
     tracer.prepare_mesh(shape.vertices, shape.faces)
     heat.prepare_mesh(shape.vertices, shape.faces)
-    fan["reference"] = tracer.exp(p, v.reshape(-1, 3)).reshape(v.shape)
-    fan["title"] += ", traced truth (black)"
+    true_paths = tracer.exp(p, v.reshape(-1, 3)).reshape(v.shape)
+    fan = Drawing(
+        canvas, shape.faces, p=p, dots=shape.points, paths=paths, reference=true_paths,
+        title="Exp from the raw cloud (dots); black: truth",
+    )  # fmt: skip
     return [
-        Drawing(shape.points, **fan),
-        checkered(log, "Log, by riemlayer from the cloud"),
+        fan,
+        checkered(log, "Log from the raw cloud"),
         checkered(heat.log(p, canvas), "Log, truth from the mesh"),
     ]
 

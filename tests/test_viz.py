@@ -68,14 +68,17 @@ def test_tangent_coordinates_keep_lengths_and_angles_of_tangent_vectors():
     assert np.allclose(tangent_coordinates(normal, normal), 0)
 
 
-def test_camera_looks_from_outside_whatever_the_sign_of_the_normal():
+def test_camera_sees_the_source_from_outside_and_holds_the_shape():
     x = np.random.default_rng(0).normal(size=(300, 3))
     sphere = x / np.linalg.norm(x, axis=1, keepdims=True)
-    for sign in (1, -1):
-        view = viewpoint(sphere, sphere[0], sign * sphere[0])
-        assert view.direction @ sphere[0] > 0.7
+    for normal in sphere[:20]:
+        view = viewpoint(sphere, normal)
+        right = np.cross(view.up, view.direction)
+        offset = sphere - view.centre
+        assert view.direction @ normal > 0.7
         assert abs(view.up @ view.direction) < 1e-12
-        assert np.linalg.norm(sphere - view.centre, axis=1).max() <= view.extent + 1e-12
+        assert np.linalg.norm(offset, axis=1).max() <= view.extent + 1e-12
+        assert np.abs(offset @ np.stack([right, view.up], 1)).max() <= view.fit + 1e-12
 
 
 def test_drawing_takes_tensors_and_leaves_them_alone():
@@ -109,7 +112,7 @@ def test_page_stands_alone_and_holds_the_data(tmp_path):
     line = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
     mesh = flat_drawing(mesh=True, paths=[line], title="</script>")
     cloud = flat_drawing(mesh=False)
-    view = viewpoint(mesh.points, mesh.p, [0, 0, 1])
+    view = viewpoint(mesh.points, [0, 0, 1])
     page = write_html(tmp_path / "page.html", mesh, cloud, view=view).read_text("utf-8")
     assert not re.search(r"https?:|src=|@import|<link", page)
     assert page.count("</script>") == 2
@@ -132,7 +135,7 @@ def test_picture_shows_the_tiles_within_the_radius(tmp_path, mesh):
     """Seen from above, the share of the picture in tile colours is that of the disc."""
     image = pytest.importorskip("PIL.Image")
     drawing = flat_drawing(mesh)
-    view = viewpoint(drawing.points, drawing.p, [0, 0, 1], tilt=0)
+    view = viewpoint(drawing.points, [0, 0, 1], tilt=0)
     path = write_png(tmp_path / "picture.png", drawing, view=view, size=200)
     pixels = np.asarray(image.open(path), dtype=float)
     assert pixels.shape == (200, 200, 3)

@@ -16,6 +16,7 @@ PLAIN = (0.80, 0.80, 0.82)
 """Surface out of reach of the map."""
 ORANGE, BLACK = (0.835, 0.369, 0.0), (0.1, 0.1, 0.1)
 """Geodesics: the answer, and the reference beside it."""
+DOT = (0.35, 0.35, 0.4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,7 @@ class Drawing:
         faces: (M, 3) triangles, or None for a cloud.
         log: (N, 2) tangent coordinates of every point (`tangent_coordinates`), drawn as tiles.
         p: (3,) source, drawn as a ball.
+        dots: (D, 3) points to mark, such as the cloud that stands for the mesh.
         paths: (K, T, 3) polylines such as geodesics from `p`.
         reference: polylines to hold `paths` against, drawn thinner and in black.
         title: a few words above the picture.
@@ -38,6 +40,7 @@ class Drawing:
     faces: Any = None
     log: Any = None
     p: Any = None
+    dots: Any = None
     paths: Sequence[Any] = ()
     reference: Sequence[Any] = ()
     title: str = ""
@@ -58,7 +61,7 @@ class Drawing:
                 "flatten vectors with tangent_coordinates(log, normal)"
             )
         put: dict[str, Any] = {"points": points}
-        for name, dtype in (("faces", np.int64), ("log", float), ("p", float)):
+        for name, dtype in (("faces", np.int64), ("log", float), ("p", float), ("dots", float)):
             value = getattr(self, name)
             put[name] = None if value is None else to_numpy(value, dtype)
         for name in ("paths", "reference"):
@@ -90,18 +93,15 @@ class View:
     """Half the side of the square that holds the shape as seen from here."""
 
 
-def viewpoint(points: Any, p: Any, normal: Any, tilt: float = 0.6) -> View:
-    """The camera that sees the source well: from above its tangent plane, a little from the side.
+def viewpoint(points: Any, normal: Any, tilt: float = 0.6) -> View:
+    """The camera that sees a source well: from above its tangent plane, a little from the side.
 
     Args:
         points: (N, 3) the whole shape.
-        p: (3,) source.
-        normal: (3,) normal at `p`; its sign is chosen so that most of the shape lies behind `p`.
+        normal: (3,) normal at the source, pointing outward.
         tilt: how far the eye leans from the normal, as a tangent.
     """
-    points, p, normal = (to_numpy(x, float) for x in (points, p, normal))
-    if ((points - p) @ normal > 0).mean() > 0.5:
-        normal = -normal
+    points, normal = to_numpy(points, float), _unit(to_numpy(normal, float))
     vertical = np.array([0.0, 1.0, 0.0]) if abs(normal[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
     right = _unit(np.cross(vertical, normal))
     direction = _unit(normal + tilt * (_unit(np.cross(normal, right)) + 0.7 * right))

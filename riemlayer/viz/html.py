@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from riemlayer.viz.drawing import BLACK, BLUE, CREAM, ORANGE, PLAIN, Array, Drawing, View
+from riemlayer.viz.drawing import BLACK, BLUE, CREAM, DOT, ORANGE, PLAIN, Array, Drawing, View
 
 
 def write_html(
@@ -36,7 +36,14 @@ def write_html(
         "title": title,
         "note": note,
         "view": {key: np.asarray(value).tolist() for key, value in vars(view).items()},
-        "colours": {"blue": BLUE, "cream": CREAM, "plain": PLAIN, "orange": ORANGE, "black": BLACK},
+        "colours": {
+            "blue": BLUE,
+            "cream": CREAM,
+            "plain": PLAIN,
+            "orange": ORANGE,
+            "black": BLACK,
+            "dot": DOT,
+        },
         "drawings": [_encode(drawing, store) for drawing in drawings],
         "arrays": store.encoded,
     }
@@ -76,7 +83,8 @@ def _encode(drawing: Drawing, store: _Store) -> dict:
         "normals": store(drawing.normals, np.float32),
         "faces": store(drawing.faces, np.uint32),
         "log": store(drawing.log, np.float32),
-        "p": None if drawing.p is None else drawing.p.tolist(),
+        "p": store(drawing.p, np.float32),
+        "dots": store(drawing.dots, np.float32),
         "paths": [
             store(_segments(lines), np.float32) for lines in (drawing.paths, drawing.reference)
         ],

@@ -11,6 +11,7 @@ from riemlayer.viz.drawing import (
     BLACK,
     BLUE,
     CREAM,
+    DOT,
     ORANGE,
     PLAIN,
     Array,
@@ -20,6 +21,7 @@ from riemlayer.viz.drawing import (
 )
 
 VIEW_ANGLE = 30.0
+LIGHT = {"ambient": 0.3, "diffuse": 0.8}
 LIFT = 0.012
 """Lines come this much nearer to the eye, in extents: the discs of a cloud must not bury them."""
 
@@ -73,7 +75,7 @@ def _add_surface(plotter, drawing: Drawing) -> None:
     if drawing.faces is None:
         _add_cloud(plotter, drawing)
     elif drawing.log is None:
-        plotter.add_mesh(_mesh(drawing), color=PLAIN, smooth_shading=True)
+        plotter.add_mesh(_mesh(drawing), color=PLAIN, smooth_shading=True, **LIGHT)
     else:
         _add_tiled_mesh(plotter, drawing)
 
@@ -96,13 +98,13 @@ def _add_tiled_mesh(plotter, drawing: Drawing) -> None:
     inside = mesh.clip_scalar(scalars="reach", invert=True, value=drawing.radius)
     outside = mesh.clip_scalar(scalars="reach", invert=False, value=drawing.radius)
     if outside.n_points:
-        plotter.add_mesh(outside, color=PLAIN, smooth_shading=True)
+        plotter.add_mesh(outside, color=PLAIN, smooth_shading=True, **LIGHT)
     if inside.n_points:
         tiles = np.kron([[0, 1], [1, 0]], np.ones((64, 64)))[..., None] > 0
         image = np.where(tiles, CREAM, BLUE) * 255
         texture = pyvista.Texture(image.round().astype(np.uint8))
         texture.repeat, texture.mipmap = True, True
-        plotter.add_mesh(inside, texture=texture, smooth_shading=True)
+        plotter.add_mesh(inside, texture=texture, smooth_shading=True, **LIGHT)
 
 
 def _add_cloud(plotter, drawing: Drawing) -> None:
@@ -117,7 +119,7 @@ def _add_cloud(plotter, drawing: Drawing) -> None:
         cloud["colour"] = checkerboard(drawing.log, drawing.period, drawing.radius)
     disc = pyvista.Disc(inner=0, outer=drawing.spacing, normal=(1, 0, 0), c_res=10)
     discs = cloud.glyph(orient="normal", scale=False, geom=disc)
-    plotter.add_mesh(discs, scalars="colour", rgb=True, lighting=True)
+    plotter.add_mesh(discs, scalars="colour", rgb=True, **LIGHT)
 
 
 def _add_paths(plotter, drawing: Drawing, lift: Array) -> None:
@@ -132,6 +134,9 @@ def _add_paths(plotter, drawing: Drawing, lift: Array) -> None:
             lines = pyvista.merge([pyvista.MultipleLines(path + lift) for path in paths])
             plotter.add_mesh(lines.tube(radius=width), color=colour, smooth_shading=True)
             _add_balls(plotter, np.stack([path[-1] for path in paths]) + lift, 2 * width, colour)
+    if drawing.dots is not None:
+        dots = pyvista.PolyData(drawing.dots + lift)
+        plotter.add_mesh(dots, color=DOT, style="points", point_size=3.0, lighting=False)
     if drawing.p is not None:
         _add_balls(plotter, drawing.p[None] + lift, 3 * thick, BLACK)
 
