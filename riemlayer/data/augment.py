@@ -1,4 +1,4 @@
-"""From a prepared shape to a training sample: what a scanner, a modeller or a user might hand over."""
+"""From a prepared shape to a training sample: what a scanner or a modeller might hand over."""
 
 from __future__ import annotations
 
@@ -74,13 +74,15 @@ def training_sample(
     valid = sample["divergence"][s][:, k] < tau
     known = sample["complete"][s][:, k].bool()
     if _chance(how.cut, generator):
-        points, kept = cut_open(points, torch.cat((p[:, None], q), 1), generator)
-        known = known & kept[:, 1:] & kept[:, :1]
+        on_path = torch.stack((p[:, None].expand_as(q), half_way(v, q), q))  # (3, S, K, 3)
+        points, kept = cut_open(points, on_path, generator)
+        known = known & kept.all(0)
     turn = rotation(how.turn_freely, generator) if how.turn_freely >= 0 else torch.eye(3)
     points, p, v, q = (x @ turn.T for x in (points, p, v, q))
     low, high = points.amin(0), points.amax(0)
-    centre, scale = (low + high) / 2, _uniform(how.smallest, 1, generator) * 2 / (high - low).max()
-    points, p, q, v = ((points - centre) * scale, (p - centre) * scale, (q - centre) * scale, v * scale)
+    scale = _uniform(how.smallest, 1, generator) * 2 / (high - low).max()
+    points, p, q = ((x - (low + high) / 2) * scale for x in (points, p, q))
+    v = v * scale
     known = known & (v.norm(dim=-1) <= LONGEST)
     return TrainingSample(points, Truth(p, v, q, valid, known, torch.zeros(len(p)).long()))
 
@@ -119,12 +121,12 @@ def sample_surface(
 
 
 def thin_out(points: Tensor, n: int) -> Tensor:
-    """About `n` of the points, spread more evenly: at most one in each cell of a grid of that many."""
-    low, high = 0.005, 0.2
-    for _ in range(8):
-        side = math.sqrt(low * high)
-        _, cell = torch.unique((points / side).floor().long() @ _CELL, return_inverse=True)
-        low, high = (side, high) if int(cell.max()) + 1 > n else (low, side)
+    """About n of the points, spread more evenly: the first in each of about n grid cells (ours)."""
+    side = 0.1
+    for _ in range(4):  # the number of occupied cells falls with the square of their side
+        cells = torch.unique((points / side).floor().long() @ _CELL)
+        side *= math.sqrt(len(cells) / n)
+    _, cell = torch.unique((points / side).floor().long() @ _CELL, return_inverse=True)
     first = torch.full((int(cell.max()) + 1,), len(points)).scatter_reduce(
         0, cell, torch.arange(len(points)), "amin"
     )
@@ -145,36 +147,79 @@ def uneven(points: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def noise_like(points: Tensor, size: float, generator: torch.Generator) -> Tensor:
-    """Displacements in random directions, of length uniform in [0, size] (Sec. 4.1)."""
-    direction = torch.nn.functional.normalize(
-        torch.randn(points.shape, generator=generator), dim=-1
-    )
-    return direction * torch.rand(len(points), 1, generator=generator) * size
+    """Displacements in random directions, of length uniform in [0, size] (Sec. 4.1), or Gaussian.
+
+    The Gaussian ones (ours) have a standard deviation of size / 3 along each axis.
+    """
+    normal = torch.randn(points.shape, generator=generator)
+    if _chance(0.5, generator):
+        return normal * (size / 3)
+    length = torch.rand(len(points), 1, generator=generator) * size
+    return torch.nn.functional.normalize(normal, dim=-1) * length
 
 
 def cut_open(
     points: Tensor, queries: Tensor, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Remove holes, or all that lies beyond a plane; also which `queries` (..., 3) remain.
+    """Removes holes, all beyond a plane, or what a camera would not see (ours).
 
-    Geodesics that lead through what was removed are not looked for: only their ends are.
+    Returns:
+        The points that stay, and which `queries` (..., 3) lie where something stayed.
     """
+    flat = queries.flatten(0, -2)
     if _chance(0.5, generator):
         centre = points[torch.randint(len(points), (4,), generator=generator)]
         radius = _uniform(0.05, 0.25, generator)
-        keep = torch.cdist(points, centre).amin(-1) > radius
-        kept = torch.cdist(queries.flatten(0, -2), centre).amin(-1) > radius
-    else:
+        keep, kept = (torch.cdist(x, centre).amin(-1) > radius for x in (points, flat))
+    elif _chance(0.5, generator):
         normal = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
         level = torch.quantile(points @ normal, _uniform(0, 0.5, generator))
-        keep, kept = points @ normal > level, queries.flatten(0, -2) @ normal > level
-    if int(keep.sum()) < 500:
+        keep, kept = points @ normal > level, flat @ normal > level
+    else:
+        keep, kept = seen(points, flat, rotation(1, generator))
+    if int(keep.sum()) < 1000:
         return points, torch.ones(queries.shape[:-1], dtype=torch.bool)
     return points[keep], kept.view(queries.shape[:-1])
 
 
+def seen(
+    points: Tensor, queries: Tensor, camera: Tensor, cell: float = 0.03, slack: float = 0.12
+) -> tuple[Tensor, Tensor]:
+    """Which points and queries an orthographic camera sees, (N,) and (M,) bool (ours).
+
+    A point is seen unless one is more than `slack` nearer within the 3 x 3 cells around it.
+
+    Args:
+        points, queries: (N, 3) and (M, 3) within a distance of 2 from the origin.
+        camera: (3, 3) rotation; its last row points at the camera.
+        cell: side of a pixel, about the spacing of the points.
+        slack: depth of the layer that counts as the surface; with slack = 4 cells the surface is
+            seen at up to about 60 degrees from the direction of view.
+    """
+    size = math.ceil(4 / cell)
+
+    def pixel(x: Tensor) -> Tensor:
+        row, column = ((x @ camera[:2].T + 2) / cell).long().clamp(0, size - 1).unbind(-1)
+        return row * size + column
+
+    height = points @ camera[2]
+    top = torch.full((size * size,), -4.0).scatter_reduce(0, pixel(points), height, "amax")
+    top = torch.nn.functional.max_pool2d(top.view(1, 1, size, size), 3, 1, 1).flatten()
+    return height > top[pixel(points)] - slack, queries @ camera[2] > top[pixel(queries)] - slack
+
+
+def half_way(v: Tensor, q: Tensor) -> Tensor:
+    """About the middle of each geodesic, (S, K, 3): the q_j whose v_j is nearest to v_i / 2 (ours).
+
+    A quarter of the vectors are candidates, so that this stays cheap.
+    """
+    few = slice(None, None, 4)
+    nearest = torch.cdist(v / 2, v[:, few]).argmin(-1, keepdim=True)                # (S, K, 1)
+    return q[:, few].gather(1, nearest.expand_as(q))
+
+
 def rotation(freely: float, generator: torch.Generator) -> Tensor:
-    """(3, 3) rotation: uniform with that probability, else of the cube's group with a small tilt."""
+    """(3, 3) rotation: uniform with that probability, else of the cube's group, slightly tilted."""
     if _chance(freely, generator):
         return _orthogonal(torch.randn(3, 3, generator=generator))
     turned = torch.eye(3)[torch.randperm(3, generator=generator)]

@@ -239,4 +239,5 @@ def _flaw(vertices: Vertices, faces: Faces, count: int) -> str | None:
         return f"{len(vertices)} vertices where about {count} were asked for"
     edge = np.median(np.linalg.norm(vertices[faces[:, 1]] - vertices[faces[:, 0]], axis=1))
     flat = int((heights(vertices, faces) < 0.04 * edge).sum())
-    return f"{flat} degenerate faces (parts thinner than an edge?)" if flat > 30 else None
+    few = len(faces) // 200
+    return f"{flat} degenerate faces (parts thinner than an edge?)" if flat > few else None
