@@ -22,5 +22,7 @@ __all__ = [
     "encode_key",
     "interpolate",
     "interpolate_or_zero",
+    "knn",
     "nearest_node",
+    "radius_search",
 ]
