@@ -78,6 +78,12 @@ class LocalPlanes(NamedTuple):
         distance = torch.where(found, sums[:, 3:4] / weight, torch.zeros_like(weight))
         return normalise(normal), distance
 
+    def normal(self, p: Tensor, batch: Tensor) -> Tensor:
+        """Unit normals (Q, 3) at `p`; of either sign."""
+        up = torch.zeros_like(p)
+        up[:, 2] = 1
+        return self.at(p, batch, up)[0]
+
     def map(self, change: Callable[[Tensor], Tensor]) -> LocalPlanes:
         """The same with `change`, such as a move to another device, applied to every tensor."""
         return LocalPlanes(*(PlaneLevel(x.level.map(change), *map(change, x[1:])) for x in self))

@@ -12,6 +12,8 @@ from riemlayer.numerics import normalise
 
 ANCHOR = 0.3
 """Length, in cells, within which a walk leaves p along v itself, to first order."""
+STEEP = 0.1
+"""Share of a chord's squared height that counts as length when its tangent part is stretched."""
 NEGLIGIBLE = 1e-6
 """Vectors much shorter than this have no direction."""
 
@@ -46,9 +48,7 @@ def walk(planes: LocalPlanes, p: Tensor, v: Tensor, batch: Tensor, steps: int = 
         steps: number of steps; 8 for the trained radius, |v| over half the spacing for a fine walk.
     """
     x, carried = p, v
-    up = torch.zeros_like(p)
-    up[:, 2] = 1
-    normal, _ = planes.at(p, batch, up)
+    normal = planes.normal(p, batch)
     square = v.square().sum(-1, keepdim=True)
     tilt = (normal * v).sum(-1, keepdim=True) / (square + NEGLIGIBLE**2)
     normal = normalise(normal - tilt * v)
@@ -57,8 +57,32 @@ def walk(planes: LocalPlanes, p: Tensor, v: Tensor, batch: Tensor, steps: int = 
         ahead, gap = planes.at(x, batch, normal)
         x = x - gap * ahead
         carried, normal = turn(carried, normal, ahead), ahead
-    fade = square / (square + (ANCHOR * planes.fine.level.cell_size) ** 2)
-    return Walked(p + v + fade * (x - p - v), carried, normal)
+    return Walked(p + v + fade_in(square, planes) * (x - p - v), carried, normal)
+
+
+def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:
+    """Tangent part of chords `x` from a point, stretched to the chord's length: a first Log (ours).
+
+    A chord is shorter than its geodesic and its tangent part shorter still, so |x| is the better
+    length. Chords along the normal, which have no direction, shrink to 0. To first order at 0 the
+    answer is `x` itself, as in `walk`.
+
+    Args:
+        planes: of the cloud.
+        normal: (S, 3) unit normals of the tangent planes.
+        x: (S, K, 3).
+    """
+    height = (x * normal[:, None]).sum(-1, keepdim=True)
+    tangent = x - height * normal[:, None]
+    square = x.square().sum(-1, keepdim=True)
+    spread = (square - (1 - STEEP) * height.square()).clamp_min(torch.finfo(x.dtype).tiny)
+    stretch = (square.clamp_min(torch.finfo(x.dtype).tiny) / spread).sqrt()
+    return x + fade_in(square, planes) * (stretch * tangent - x)
+
+
+def fade_in(square: Tensor, planes: LocalPlanes) -> Tensor:
+    """0 at the source with zero slope, 1 beyond `ANCHOR` cells, from squared lengths."""
+    return square / (square + (ANCHOR * planes.fine.level.cell_size) ** 2)
 
 
 def turn(w: Tensor, n: Tensor, m: Tensor) -> Tensor:

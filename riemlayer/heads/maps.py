@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from riemlayer.config import HeadConfig
-from riemlayer.geometry import LocalPlanes, walk
+from riemlayer.geometry import LocalPlanes, lay_flat, walk
 from riemlayer.heads.triplane import TriplaneHypernetwork, sample_triplane
 from riemlayer.numerics import outer6, safe_norm
 from riemlayer.octree import Level, interpolate, interpolate_or_zero
@@ -92,12 +92,13 @@ class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
     The walk over the cloud's planes is the prior; f sees the triplane of z(p) at v, the walked end
-    point, direction and normal, and the narrow embedding where it landed. Exp_p(0) = p and
-    d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet: q = p + f(v).
+    point, direction and normal, the normal at p and the narrow embedding where the walk landed.
+    Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet:
+    q = p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        super().__init__(embedding, 12 + config.narrow if config.anchored else 0, radius, config)
+        super().__init__(embedding, 18 + config.narrow if config.anchored else 0, radius, config)
 
     def forward(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> MapOutput:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -105,35 +106,39 @@ class ExpHead(MapHead):
             hidden, vector = self.decode(z, v)
             return MapOutput(vector, self.validity(hidden))
         v = torch.cat((torch.zeros_like(v[:, :1]), v), 1)  # (S, 1 + K, 3)
-        moved, told = self.prior(field, p, v, shape)
+        moved, turned, normals = self.prior(field, p, v, shape)
         landed = read_narrow(field, p[:, None] + moved, shape)
-        hidden, f = self.decode(z, v, *told, landed)
+        told = ((moved - v) / self.radius, turned / self.radius, normals, landed)
+        hidden, f = self.decode(z, v, *told)
         vector = moved + safe_norm(v) * (f - f[:, :1])
         return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:]))
 
     def prior(
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor
-    ) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-        """Displacement of the prior (S, K, 3), and what the decoder is told about it."""
-        if not self.config.walk_steps:
-            return v, (torch.zeros_like(v), v / self.radius, v.new_zeros(*v.shape[:2], 6))
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Where the prior ends (S, K, 3), v carried there, and the normals at both ends (S, K, 12)."""
         start = p[:, None].expand_as(v).reshape(-1, 3)
         index = shape[:, None].expand(v.shape[:2]).flatten()
+        here = outer6(field.planes.normal(p, shape))[:, None].expand(-1, v.shape[1], -1)
+        if not self.config.walk_steps:
+            return v, v, torch.cat((here, here), -1)
         end = walk(field.planes, start, v.flatten(0, 1), index, self.config.walk_steps)
-        moved = (end.point - start).view_as(v)
-        turned, normal = end.vector.view_as(v), outer6(end.normal).unflatten(0, v.shape[:2])
-        return moved, ((moved - v) / self.radius, turned / self.radius, normal)
+        there = outer6(end.normal).unflatten(0, v.shape[:2])
+        moved, turned = (end.point - start).view_as(v), end.vector.view_as(v)
+        return moved, turned, torch.cat((there, here), -1)
 
 
 class LogHead(MapHead):
-    """Log_p(q) = x + |x| (h(x) - h(0)), x = q - p, h told the embedding at q and half-way (ours).
+    """Log_p(q) = flat(x) + |x| (h(x) - h(0)) with x = q - p (ours).
 
-    Log_p(p) = 0 and d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet:
-    v = h(x).
+    The prior lays the chord flat on the tangent plane of the cloud at p; h sees the triplane of z(p)
+    at x, the prior, the normal at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and
+    d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        super().__init__(embedding, 2 * config.narrow, radius, config)
+        told = 9 + 2 * config.narrow if config.anchored else 0
+        super().__init__(embedding, told, radius, config)
 
     def forward(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> MapOutput:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -142,9 +147,12 @@ class LogHead(MapHead):
             hidden, vector = self.decode(z, x)
             return MapOutput(vector, self.validity(hidden))
         x = torch.cat((torch.zeros_like(x[:, :1]), x), 1)  # (S, 1 + K, 3)
-        told = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        hidden, h = self.decode(z, x, *told)
-        vector = x + safe_norm(x) * (h - h[:, :1])
+        normal = field.planes.normal(p, shape)
+        flat = lay_flat(field.planes, normal, x)
+        here = outer6(normal)[:, None].expand(-1, x.shape[1], -1)
+        passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
+        hidden, h = self.decode(z, x, (flat - x) / self.radius, here, *passed)
+        vector = flat + safe_norm(x) * (h - h[:, :1])
         return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:]))
 
 
