@@ -265,7 +265,7 @@ class EncodedSurface:
 
     def _in_support(self, p: Tensor, shape: Tensor | None, batch: torch.Size) -> Tensor:
         index = self._shape_of(p, shape)
-        x = ((p - self.centre[index]) / self.scale[index][..., None]).flatten(0, -2)
+        x = ((p - self.centre[index]) / self.scale[index][..., None]).reshape(-1, 3)
         near = corners(self.embedding.level, x, index.flatten()).in_support
         inside = (x.abs() <= HALF_WIDTH).all(-1)
         return (near & inside).view(p.shape[:-1]).expand(batch)
