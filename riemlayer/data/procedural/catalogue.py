@@ -7,6 +7,7 @@ import numpy as np
 from riemlayer.data.procedural import (
     abstract,
     animals,
+    composites,
     craft,
     critters,
     fasteners,
@@ -67,6 +68,7 @@ BUILDERS = {
     "board": machines.board,
     "instrument": machines.instrument,
     "hook": machines.hook,
+    "assembly": composites.assembly,
     "humanoid": figures.humanoid,
     "hand": figures.hand,
     "bust": figures.bust,

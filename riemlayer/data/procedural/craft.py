@@ -17,6 +17,7 @@ from riemlayer.data.procedural.solids import (
     rod,
     segments,
     strut,
+    thin,
 )
 
 Parts = list[Manifold]
@@ -50,7 +51,7 @@ def plane(rng: Rng) -> Parts:
     body = body.rotate((0, -90, 0)).translate((length / 2, 0, 0))
     parts = [body.scale((1, 1, rng.uniform(0.85, 1.3)))]
     span, chord = rng.uniform(0.5, 1.3), rng.uniform(0.25, 0.6)
-    sweep, thick = rng.uniform(-0.05, 0.7), rng.uniform(0.035, 0.06)
+    sweep, thick = rng.uniform(-0.05, 0.7), thin(rng, 0.022, 0.06)
     at, level = rng.uniform(-0.1, 0.2) * length, rng.uniform(-0.7, 0.8) * r
     right = blade(rng, span, chord, chord * rng.uniform(0.3, 0.9), sweep, thick)
     wings = [move(right, at, 0, level), move(right.mirror((0, 1, 0)), at, 0, level)]

@@ -18,6 +18,7 @@ from riemlayer.data.procedural.solids import (
     smooth_curve,
     soft_box,
     strut,
+    thin,
     tube,
 )
 
@@ -135,7 +136,7 @@ def backrest(rng: Rng, width: float, seat: float, height: float, thick: float) -
 def chair(rng: Rng) -> Parts:
     """A chair, armchair or stool."""
     width, depth = rng.uniform(0.7, 1.2, 2)
-    thick, leg = rng.uniform(0.05, 0.16), rng.uniform(0.3, 1.2)
+    thick, leg = thin(rng, 0.02, 0.16), rng.uniform(0.3, 1.2)
     seat_z = leg + thick / 2
     if chance(rng, 0.25):
         seat = rod(width / 2, thick, (0, 0, seat_z), sides=segments(rng)).scale(
@@ -152,7 +153,7 @@ def chair(rng: Rng) -> Parts:
             soft_box((width * 0.9, depth * 0.9, thick), (0, 0, seat_z + thick * 0.8), 0.05)
         )
     if chance(rng, 0.85):
-        bar = rng.uniform(0.045, 0.12)
+        bar = thin(rng, 0.022, 0.12)
         back = backrest(rng, width * rng.uniform(0.8, 1), leg, rng.uniform(0.4, 1.3), bar)
         parts += [move(part, 0, depth / 2 - bar / 2, 0) for part in back]
         if chance(rng, 0.4):
@@ -180,7 +181,7 @@ def arms(rng: Rng, width: float, depth: float, seat: float) -> Parts:
 def table(rng: Rng) -> Parts:
     """A table or a desk with drawers, sometimes with things on it."""
     width, depth, height = rng.uniform(0.9, 2.2), rng.uniform(0.6, 1.2), rng.uniform(0.25, 1.1)
-    thick = rng.uniform(0.045, 0.12)
+    thick = thin(rng, 0.02, 0.12)
     top_z = height + thick / 2
     if chance(rng, 0.3):
         top = rod(width / 2, thick, (0, 0, top_z), sides=segments(rng)).scale(

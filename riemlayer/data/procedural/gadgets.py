@@ -19,6 +19,7 @@ from riemlayer.data.procedural.solids import (
     segments,
     smooth_curve,
     soft_box,
+    thin,
     tube,
     union,
 )
@@ -191,7 +192,7 @@ def shoe(rng: Rng) -> Sculpture:
     """A shoe or boot: a foot-shaped shell, open at the ankle, with a sole and laces."""
     clay = Sculpture(rng.uniform(0.05, 0.12))
     tall, r, toe = rng.uniform(0.25, 1.3), rng.uniform(0.24, 0.34), rng.uniform(0.2, 0.34)
-    wall = rng.uniform(0.05, 0.08)
+    wall = thin(rng, 0.035, 0.09)
     lean = rng.uniform(-0.05, 0.15)
     ankle = np.array([0, lean, tall])
     bones = [
@@ -221,7 +222,7 @@ def shoe(rng: Rng) -> Sculpture:
 def tray(rng: Rng) -> Parts:
     """A box, crate, tray or sink: a hollow box with walls, divisions, lid, handles, feet."""
     size = np.array([rng.uniform(0.7, 2.0), rng.uniform(0.5, 1.3), rng.uniform(0.15, 1.3)])
-    wall = rng.uniform(0.05, 0.1)
+    wall = thin(rng, 0.02, 0.1) * size.max() / 2
     body = any_box(rng, size, edge=0.1)
     hollow = soft_box if chance(rng, 0.4) else box
     body -= hollow(size - (2 * wall, 2 * wall, 0), (0, 0, wall))

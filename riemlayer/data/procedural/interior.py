@@ -19,6 +19,7 @@ from riemlayer.data.procedural.solids import (
     smooth_curve,
     soft_box,
     strut,
+    thin,
     tube,
 )
 
@@ -61,7 +62,7 @@ def lampshade(rng: Rng, size: float, sides: int, drop: bool) -> Parts:
     """A conical or domed shell about z, or a globe, with a holder; the stem ends at the origin."""
     if chance(rng, 0.2):
         return [ball(size * rng.uniform(0.5, 0.9), (0, 0, 0.1 * size), sides)]
-    wall = rng.uniform(0.05, 0.08)
+    wall = thin(rng, 0.025, 0.08)
     top, tall = size * rng.uniform(0.35, 1.0), size * rng.uniform(0.7, 1.6)
     t = np.linspace(0, 1, 10)
     outer = size + (top - size) * t ** rng.uniform(0.6, 2.5)

@@ -93,7 +93,7 @@ def plant(rng: Rng) -> Sculpture:
         pot = rng.uniform(0.25, 0.45)
         clay.cone((0, 0, -pot), (0, 0, 0), pot * 0.75, pot)
         clay.block((0, 0, pot + 0.1), (2 * pot, 2 * pot, pot), removes=True, blend=0.02)
-    stem = smooth_curve([(0, 0, 0), (*(0.2 * lean), 0.5 * tall), top], 7)
+    stem = smooth_curve(np.outer([0.0, 0.5, 1.0], top) * [[1, 1, 1], [0.4, 0.4, 1], [1, 1, 1]], 7)
     if style == "mushroom":
         clay.chain(stem, rng.uniform(0.08, 0.2))
         cap = rng.uniform(0.35, 0.8)
@@ -214,7 +214,7 @@ def garment(rng: Rng) -> Sculpture:
         limbs.append(((0, 0, 0.4), (0, 0, 0.85), 0.18, 0.14))
     elif style == "trousers":
         out, long = rng.uniform(0.1, 0.4), rng.uniform(0.4, 1.4)
-        limbs = [((0, 0, 0.5), (0, 0, 0.1), 0.3, 0.34)]
+        limbs: list = [((0, 0, 0.1), (0, 0, 0.5), 0.34, 0.3)]
         limbs += [((s * 0.15, 0, 0.1), (s * (0.15 + out), 0, -long), 0.22, 0.17) for s in (-1, 1)]
     elif style == "hat":
         limbs = [((0, 0, 0), (0, 0, rng.uniform(0.2, 0.8)), 0.5, rng.uniform(0.3, 0.55))]

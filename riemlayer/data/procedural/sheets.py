@@ -15,6 +15,7 @@ from riemlayer.data.procedural.solids import (
     pick,
     rod,
     segments,
+    thin,
     tube,
 )
 
@@ -65,7 +66,7 @@ def terrain(rng: Rng) -> Parts:
 
 def sheet(rng: Rng) -> Parts:
     """A thin plate, flat, folded or curved, with holes."""
-    thick = rng.uniform(0.035, 0.09)
+    thick = thin(rng, 0.018, 0.09)
     if chance(rng, 0.45):
         plane, z = height_field(rng, 48)
         plane = plane * (1, rng.uniform(0.4, 1))

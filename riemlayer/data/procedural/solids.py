@@ -24,6 +24,11 @@ def pick(rng: Rng, *options):
     return options[int(rng.integers(len(options)))]
 
 
+def thin(rng: Rng, low: float, high: float) -> float:
+    """A thickness between two bounds, its logarithm uniform: real walls are mostly thin."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
 def segments(rng: Rng) -> int:
     """Number of sides of a round part: mostly smooth, sometimes low-poly as game assets are."""
     return int(rng.integers(24, 56)) if chance(rng, 0.8) else int(rng.integers(6, 13))

@@ -13,6 +13,7 @@ from riemlayer.data.procedural.solids import (
     move,
     pick,
     rod,
+    thin,
 )
 
 Parts = list[Manifold]
@@ -21,7 +22,7 @@ Parts = list[Manifold]
 def shelf(rng: Rng) -> Parts:
     """A bookcase, rack, cabinet or wardrobe: thin boards, divisions, doors, books."""
     width, depth, height = rng.uniform(0.5, 2.0), rng.uniform(0.25, 0.8), rng.uniform(0.6, 2.2)
-    board = rng.uniform(0.022, 0.05) * max(width, height)
+    board = thin(rng, 0.01, 0.045) * max(width, height)
     rows, columns = int(rng.integers(1, 7)), int(rng.integers(1, 4))
     side = (board, depth, height)
     parts = [

@@ -19,6 +19,7 @@ from riemlayer.data.procedural.solids import (
     segments,
     smooth_curve,
     soft_box,
+    thin,
     tube,
 )
 
@@ -80,7 +81,7 @@ def tool(rng: Rng) -> Parts:
         )
         parts += [rod(0.035, 0.35, (x, 0.15, z), "y", sides=8) for x, z in pins.reshape(-1, 2)]
     elif style == "pan":
-        r, tall, wall = rng.uniform(0.35, 0.6), rng.uniform(0.08, 0.3), 0.06
+        r, tall, wall = rng.uniform(0.35, 0.6), rng.uniform(0.08, 0.3), thin(rng, 0.022, 0.07)
         pan = rod(r * 0.85, tall, top=r, sides=n) - rod(
             r * 0.85 - wall, tall, (0, 0, wall), top=r - wall, sides=n
         )
@@ -96,7 +97,7 @@ def tool(rng: Rng) -> Parts:
                 (-0.1, deep / 2),
             ]
         )
-        blade = extrude(outline, 0.06).rotate((90, 0, 0))
+        blade = extrude(outline, thin(rng, 0.025, 0.07)).rotate((90, 0, 0))
         if chance(rng, 0.3):
             teeth = np.linspace(0.1, 0.8, 9) * long
             blade = cut(

@@ -15,6 +15,7 @@ from riemlayer.data.procedural.solids import (
     rod,
     segments,
     smooth_curve,
+    thin,
     tube,
 )
 
@@ -58,7 +59,7 @@ def outline(rng: Rng, style: str) -> tuple[np.ndarray, float]:
         h, count = rng.uniform(0.8, 2.2), int(rng.integers(3, 7))
         radii = rng.uniform(0.18, 0.7, count)
         knots = list(zip(radii, np.linspace(0, 1, count) * h, strict=True))
-    return resample(knots), rng.uniform(0.04, 0.1)
+    return resample(knots), thin(rng, 0.025, 0.1)
 
 
 def resample(knots, count: int = 40) -> np.ndarray:
@@ -73,7 +74,7 @@ def resample(knots, count: int = 40) -> np.ndarray:
 def shell(outer: np.ndarray, floor: float, wall: float, sides: int) -> Manifold:
     """The outline revolved, hollowed above the floor by walls of constant horizontal thickness."""
     inside = outer[outer[:, 1] > floor]
-    inside = np.c_[np.maximum(inside[:, 0] - wall, 0.02), inside[:, 1]]
+    inside = np.c_[np.maximum(inside[:, 0] - wall, 0.01), inside[:, 1]]
     profile = np.r_[[[0, 0]], outer, inside[::-1], [[0, inside[0, 1]]]]
     return revolve(profile, sides)
 
@@ -99,7 +100,8 @@ def vessel(rng: Rng) -> Parts:
     """A cup, bowl, bottle, stemmed glass, vase or pot."""
     style = pick(rng, "cup", "cup", "bowl", "bottle", "glass", "vase", "vase")
     outer, floor = outline(rng, style)
-    sides, wall = segments(rng), rng.uniform(0.05, 0.1)
+    sides, half = segments(rng), max(outer[:, 0].max(), outer[-1, 1] / 2)
+    wall = thin(rng, 0.018, 0.1) * half
     solid = style == "bottle" and chance(rng, 0.5)
     body = revolve(np.r_[[[0, 0]], outer, [[0, outer[-1, 1]]]], sides) if solid else None
     body = body or shell(outer, floor, wall, sides)
