@@ -90,7 +90,10 @@ def test_drawing_takes_tensors_and_leaves_them_alone():
 
 
 def test_discs_of_a_plane_lie_in_the_plane():
+    """And a log map that is the identity runs across them as the identity."""
     drawing = flat_drawing(mesh=False)
+    assert drawing.slope is not None
+    assert np.allclose(drawing.slope, np.eye(3)[:2], atol=0.05)
     assert np.allclose(np.abs(drawing.normals), [0, 0, 1], atol=1e-3)
     assert np.isclose(drawing.spacing, 0.05, rtol=1e-4)
 

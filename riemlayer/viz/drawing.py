@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from riemlayer.viz.cloud import neighbourhoods, pca_normals, slopes
+
 Array = np.ndarray
 
 BLUE, CREAM = (0.0, 0.447, 0.698), (0.965, 0.945, 0.875)
@@ -50,6 +52,8 @@ class Drawing:
     """(N, 3) unit normals for shading; their sign has no meaning on a cloud."""
     spacing: float = field(init=False)
     """Typical distance of neighbouring points."""
+    slope: Array | None = field(init=False, default=None)
+    """(N, 2, 3) derivative of `log` along the surface, for the discs of a cloud."""
 
     def __post_init__(self) -> None:
         points = to_numpy(self.points, float)
@@ -67,7 +71,10 @@ class Drawing:
         for name in ("paths", "reference"):
             put[name] = tuple(to_numpy(path, float) for path in getattr(self, name))
         if put["faces"] is None:
-            put["normals"], put["spacing"] = _cloud_normals(points)
+            neighbours, put["spacing"] = neighbourhoods(points)
+            put["normals"] = pca_normals(points, neighbours)
+            if put["log"] is not None:
+                put["slope"] = slopes(points, put["log"], neighbours)
         else:
             put["normals"], put["spacing"] = _mesh_normals(points, put["faces"])
         for name, value in put.items():
@@ -167,16 +174,3 @@ def _mesh_normals(points: Array, faces: Array) -> tuple[Array, float]:
     for i in range(3):
         np.add.at(normals, faces[:, i], face_normals)
     return _unit(normals), float(np.linalg.norm(b - a, axis=-1).mean())
-
-
-def _cloud_normals(points: Array, k: int = 12, chunk: int = 1024) -> tuple[Array, float]:
-    """PCA normals over the k nearest points, and the median distance to the fourth one."""
-    import torch
-
-    x = torch.from_numpy(points).float()
-    near = [torch.cdist(part, x).topk(min(k, len(x)), largest=False) for part in x.split(chunk)]
-    neighbours = x[torch.cat([part.indices for part in near])]
-    offset = neighbours - neighbours.mean(1, keepdim=True)
-    normals = torch.linalg.eigh(offset.mT @ offset).eigenvectors[..., 0]
-    spacing = torch.cat([part.values for part in near])[:, min(4, len(x) - 1)].median()
-    return normals.double().numpy(), float(spacing)

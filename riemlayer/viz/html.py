@@ -83,6 +83,7 @@ def _encode(drawing: Drawing, store: _Store) -> dict:
         "normals": store(drawing.normals, np.float32),
         "faces": store(drawing.faces, np.uint32),
         "log": store(drawing.log, np.float32),
+        "slope": store(drawing.slope, np.float32),
         "p": store(drawing.p, np.float32),
         "dots": store(drawing.dots, np.float32),
         "paths": [

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from riemlayer.viz.cloud import discs
 from riemlayer.viz.drawing import (
     BLACK,
     BLUE,
@@ -17,7 +18,6 @@ from riemlayer.viz.drawing import (
     Array,
     Drawing,
     View,
-    checkerboard,
 )
 
 VIEW_ANGLE = 30.0
@@ -72,54 +72,44 @@ def _plot(drawings: tuple[Drawing, ...], view: View, size: int):
 
 
 def _add_surface(plotter, drawing: Drawing) -> None:
-    if drawing.faces is None:
-        _add_cloud(plotter, drawing)
-    elif drawing.log is None:
-        plotter.add_mesh(_mesh(drawing), color=PLAIN, smooth_shading=True, **LIGHT)
-    else:
-        _add_tiled_mesh(plotter, drawing)
-
-
-def _mesh(drawing: Drawing):
-    import pyvista
-
-    mesh = pyvista.PolyData.from_regular_faces(drawing.points, drawing.faces)
-    mesh.point_data.active_normals = drawing.normals
-    return mesh
-
-
-def _add_tiled_mesh(plotter, drawing: Drawing) -> None:
     """The part within the radius carries the tiles as a texture, cut exactly at the radius."""
-    import pyvista
-
-    mesh = _mesh(drawing)
-    mesh.active_texture_coordinates = drawing.log / (2 * drawing.period)
-    mesh["reach"] = np.linalg.norm(drawing.log, axis=1)
+    mesh, log = _patches(drawing)
+    if log is None:
+        plotter.add_mesh(mesh, color=PLAIN, smooth_shading=True, **LIGHT)
+        return
+    mesh.active_texture_coordinates = log / (2 * drawing.period)
+    mesh["reach"] = np.linalg.norm(log, axis=1)
     inside = mesh.clip_scalar(scalars="reach", invert=True, value=drawing.radius)
     outside = mesh.clip_scalar(scalars="reach", invert=False, value=drawing.radius)
     if outside.n_points:
         plotter.add_mesh(outside, color=PLAIN, smooth_shading=True, **LIGHT)
     if inside.n_points:
-        tiles = np.kron([[0, 1], [1, 0]], np.ones((64, 64)))[..., None] > 0
-        image = np.where(tiles, CREAM, BLUE) * 255
-        texture = pyvista.Texture(image.round().astype(np.uint8))
-        texture.repeat, texture.mipmap = True, True
-        plotter.add_mesh(inside, texture=texture, smooth_shading=True, **LIGHT)
+        plotter.add_mesh(inside, texture=_tiles(), smooth_shading=True, **LIGHT)
 
 
-def _add_cloud(plotter, drawing: Drawing) -> None:
-    """Every point is a small disc in its tangent plane."""
+def _patches(drawing: Drawing):
+    """The triangles of a mesh or the discs of a cloud, with normals, and the log map on them."""
     import pyvista
 
-    cloud = pyvista.PolyData(drawing.points)
-    cloud["normal"] = drawing.normals
-    if drawing.log is None:
-        cloud["colour"] = np.broadcast_to(PLAIN, drawing.points.shape)
-    else:
-        cloud["colour"] = checkerboard(drawing.log, drawing.period, drawing.radius)
-    disc = pyvista.Disc(inner=0, outer=drawing.spacing, normal=(1, 0, 0), c_res=10)
-    discs = cloud.glyph(orient="normal", scale=False, geom=disc)
-    plotter.add_mesh(discs, scalars="colour", rgb=True, **LIGHT)
+    points, faces, normals, log = drawing.points, drawing.faces, drawing.normals, drawing.log
+    if faces is None:
+        offset, faces = discs(points, normals, drawing.spacing)
+        points = (points[:, None] + offset).reshape(-1, 3)
+        normals = np.repeat(normals, offset.shape[1], axis=0)
+        if log is not None and drawing.slope is not None:
+            log = (log[:, None] + offset @ drawing.slope.transpose(0, 2, 1)).reshape(-1, 2)
+    mesh = pyvista.PolyData.from_regular_faces(points, faces)
+    mesh.point_data.active_normals = normals
+    return mesh, log
+
+
+def _tiles():
+    import pyvista
+
+    odd = np.kron([[0, 1], [1, 0]], np.ones((64, 64)))[..., None] > 0
+    texture = pyvista.Texture((np.where(odd, CREAM, BLUE) * 255).round().astype(np.uint8))
+    texture.repeat, texture.mipmap = True, True
+    return texture
 
 
 def _add_paths(plotter, drawing: Drawing, lift: Array) -> None:
