@@ -130,5 +130,5 @@ class FieldConfig:
                 head=HeadConfig(**values["head"]),
                 **{k: v for k, v in values.items() if k not in ("backbone", "head")},
             )
-        except (KeyError, TypeError) as error:
+        except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"not the configuration of an ExpLogField: {error}") from error
