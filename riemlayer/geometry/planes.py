@@ -27,6 +27,9 @@ BLEND = 0.5
 FALLBACK = 1e-3
 """Weight of the coarse planes beside the fine ones; they alone count where those are missing."""
 
+NO_PLANE = 1e-3
+"""Second eigenvalue, in squared cells, below which a neighbourhood is a point or a line."""
+
 
 class PlaneLevel(NamedTuple):
     """Planes of the n nodes of a level; a last row stands for "no node"."""
@@ -127,13 +130,24 @@ def _plane_level(
     assert level.parent is not None
     total = around + (PARENT_POINTS * wide / wide[:, :1])[level.parent]
     mean = total / total[:, :1]
-    covariance = mean[:, 4:] - outer6(mean[:, 1:4])
+    covariance = _settled(mean[:, 4:] - outer6(mean[:, 1:4]), level.cell_size)
     eigenvalues = symmetric_eigenvalues(covariance)
     normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
     centroid = moments[:, 1:4] / moments[:, :1]
     plane = torch.cat((centroid, normal), -1)
     plane = torch.cat((plane, plane.new_zeros(1, 6))).T.contiguous()
     return PlaneLevel(level, plane, eigenvalues)
+
+
+def _settled(covariance: Tensor, cell_size: float) -> Tensor:
+    """Covariances (n, 6) whose flattest direction does not depend on rounding.
+
+    Where the points around span no plane (one or two of them, or a line), that direction becomes
+    the one nearest to the z axis among those orthogonal to the points.
+    """
+    tie = covariance.new_tensor([2.0, 1, 0, 0, 0, 0]) * (10 * NO_PLANE * cell_size**2)
+    flat = symmetric_eigenvalues(covariance)[:, 1:2] >= NO_PLANE * cell_size**2
+    return torch.where(flat, covariance, covariance + tie)
 
 
 def _moments(x: Tensor) -> Tensor:
