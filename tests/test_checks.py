@@ -7,6 +7,7 @@ import torch
 from riemlayer.checks import (
     check_batch,
     check_broadcast,
+    check_index,
     check_points,
     check_shapes,
     check_vectors,
@@ -139,3 +140,24 @@ def test_shapes_that_do_not_fit_are_quoted(shape):
     words = r"`v` must have shape \(S, K, 3\) with S=4, got \(" + str(shape[0])
     with pytest.raises(ValueError, match=words):
         check_shapes(p=(torch.zeros(4, 3), "S 3"), v=(torch.zeros(shape), "S K 3"))
+
+
+@pytest.mark.parametrize(
+    "index, error, words",
+    [
+        ([0, 1], TypeError, "got list"),
+        (torch.zeros(4), TypeError, "got torch.float32"),
+        (torch.tensor([0, 1, 2, 3]), ValueError, r"lie in \[0, 3\), got values in \[0, 3\]"),
+        (torch.tensor([-1, 0, 0, 0]), ValueError, r"got values in \[-1, 0\]"),
+        (torch.zeros(5, dtype=torch.int64), ValueError, r"`shape` and `p` must broadcast"),
+    ],
+)
+def test_bad_index_is_named(index, error, words):
+    with pytest.raises(error, match=words) as raised:
+        check_index("shape", index, 3, like=torch.zeros(4, 3))
+    assert "`shape`" in str(raised.value)
+
+
+def test_index_that_broadcasts_passes():
+    check_index("shape", torch.tensor([0, 1, 2, 2]), 3, like=torch.zeros(4, 3))
+    check_index("shape", torch.tensor(1), 3, like=torch.zeros(4, 3))
