@@ -1,0 +1,143 @@
+"""Local planes: normals of known surfaces, and answers that are defined everywhere."""
+
+import pytest
+import torch
+from references import fibonacci_sphere, lumpy
+from torch import Tensor
+
+from riemlayer.geometry import LocalPlanes, local_planes
+from riemlayer.octree import build_octree
+
+UP = torch.tensor([0.0, 0, 1], dtype=torch.float64)
+
+
+def planes_of(points: Tensor, depth: int = 5) -> LocalPlanes:
+    batch = torch.zeros(len(points), dtype=torch.long)
+    return local_planes(points, build_octree(points, batch, depth))
+
+
+def at(planes: LocalPlanes, x: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
+    return planes.at(x, torch.zeros(len(x), dtype=torch.long), towards.expand_as(x))
+
+
+def tilted_plane(n: int = 4000) -> tuple[Tensor, Tensor]:
+    """Points of a tilted square, and its normal."""
+    turn = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64))[0]
+    flat = torch.rand(n, 3, dtype=torch.float64) * torch.tensor([1.0, 1, 0]) - 0.5
+    flat[:, 2] = 0
+    return flat @ turn.T, turn[:, 2]
+
+
+def test_planes_of_a_plane_are_that_plane():
+    points, normal = tilted_plane()
+    planes = planes_of(points)
+    found = planes.fine.plane[3:, :-1].T
+    torch.testing.assert_close((found @ normal).abs(), torch.ones(len(found)).double())
+    height = 0.02 * torch.randn(200, 1, dtype=torch.float64)
+    blended, gap = at(planes, points[:200] + height * normal, normal)
+    torch.testing.assert_close(blended, normal.expand(200, 3), rtol=0, atol=1e-6)
+    torch.testing.assert_close(gap, height, rtol=0, atol=1e-6)
+
+
+def test_normals_of_a_sphere_are_radial():
+    points = fibonacci_sphere(8000)
+    normal, gap = planes_of(points).at(points, torch.zeros(8000).long(), points)
+    assert ((normal * points).sum(-1) > 0.999).all()
+    assert gap.abs().max() < 0.01  # a fifth of the sagitta of a cell
+
+
+def test_normals_get_better_as_cells_shrink():
+    points, x = fibonacci_sphere(20_000), fibonacci_sphere(300)
+    errors = []
+    for depth in (3, 4, 5):
+        normal, _ = at(planes_of(points, depth), x, x)
+        errors.append(float((normal - x).norm(dim=-1).mean()))
+    assert errors[1] < errors[0] / 1.7 and errors[2] < errors[1] / 1.7, errors
+
+
+def test_normals_take_the_sign_that_is_asked_for():
+    planes, x = planes_of(fibonacci_sphere(4000)), fibonacci_sphere(100)
+    normal, gap = at(planes, 1.01 * x, x)
+    inward, other = at(planes, 1.01 * x, -x)
+    torch.testing.assert_close(inward, -normal)
+    torch.testing.assert_close(other, -gap)
+
+
+def test_stored_signs_have_no_meaning():
+    planes, x = planes_of(fibonacci_sphere(2000)), fibonacci_sphere(100)
+    fine = planes.fine
+    sign = torch.randint(0, 2, (fine.plane.shape[1],)) * 2 - 1
+    flipped = planes._replace(
+        fine=fine._replace(plane=torch.cat((fine.plane[:3], fine.plane[3:] * sign)))
+    )
+    for a, b in zip(at(planes, x, x), at(flipped, x, x), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=1e-12)
+    points = fibonacci_sphere(2000)
+    leaf = build_octree(points, torch.zeros(2000, dtype=torch.long), 5).leaf
+    features = planes.point_features(points, leaf), flipped.point_features(points, leaf)
+    torch.testing.assert_close(*features, rtol=0, atol=1e-12)
+
+
+def test_far_from_every_point_there_is_no_plane():
+    planes = planes_of(0.3 * fibonacci_sphere(500))
+    normal, gap = at(planes, torch.tensor([[0.9, 0.9, 0.9], [0.0, 0, 0]]).double(), UP)
+    torch.testing.assert_close(normal, UP.expand(2, 3))
+    assert (gap == 0).all()
+
+
+def test_sheets_three_cells_apart_do_not_mix():
+    """Just outside one of them, the distance is measured from it."""
+    flat = (torch.rand(8000, 3, dtype=torch.float64) - 0.5) * torch.tensor([1.0, 1, 0])
+    planes = planes_of(torch.cat((flat, flat + 0.2 * UP)))  # cells of 0.066
+    for sheet in (flat[:200], flat[:200] + 0.2 * UP):
+        _, gap = at(planes, sheet + 0.01 * UP, UP)
+        torch.testing.assert_close(gap, torch.full_like(gap, 0.01), rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize("spread", [[0.0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 1, 0]])
+def test_clouds_of_few_points_have_settled_planes(spread):
+    """A point, a line, a sparse square: shifting the cloud by a cell shifts its planes."""
+    points = torch.randn(12, 3, dtype=torch.float64) * 0.05 * torch.tensor(spread).double()
+    points = points + torch.tensor([0.21, 0.31, 0.41]).double()
+    shift = 2.125 / 8
+    here, there = planes_of(points), planes_of(points - shift)
+    for a, b in zip(here, there, strict=True):
+        moved = b.plane[:, :-1].T + torch.tensor([shift] * 3 + [0.0] * 3)
+        torch.testing.assert_close(moved, a.plane[:, :-1].T, rtol=0, atol=1e-9)
+        torch.testing.assert_close(a.eigenvalues, b.eigenvalues, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_degenerate_clouds_have_finite_planes_and_gradients(dtype):
+    line = torch.linspace(-1, 1, 40, dtype=dtype)[:, None] * torch.tensor([1.0, 0, 0], dtype=dtype)
+    far = torch.tensor([[0.9, 0.9, 0.9], [0.9, 0.9, 0.9]], dtype=dtype)
+    points = torch.cat((line, far)).requires_grad_()
+    planes = planes_of(points)
+    x = torch.cat((line + 0.01, far, torch.zeros(3, 3, dtype=dtype)))
+    normal, gap = at(planes, x, UP.to(dtype))
+    assert normal.isfinite().all() and gap.isfinite().all()
+    (normal.sum() + gap.sum()).backward()
+    assert points.grad is not None and points.grad.isfinite().all()
+
+
+def test_point_features_have_no_units_and_no_position():
+    points = lumpy(400)
+    shift = 2.125 / 32  # a cell
+    leaf = build_octree(points, torch.zeros(400, dtype=torch.long), 5).leaf
+    a = planes_of(points).point_features(points, leaf)
+    moved = points + torch.tensor([shift, -shift, 0]).double() * 2
+    leaf = build_octree(moved, torch.zeros(400, dtype=torch.long), 5).leaf
+    b = planes_of(moved).point_features(moved, leaf)
+    torch.testing.assert_close(a, b, rtol=0, atol=1e-8)
+    assert a.shape == (400, 11)
+
+
+def test_gradcheck_in_queries_and_points():
+    points = lumpy(60).requires_grad_()
+    towards = points.detach()[:6]
+    x = (1.01 * towards).requires_grad_()
+
+    def answer(points: Tensor, x: Tensor) -> Tensor:
+        return torch.cat(at(planes_of(points, 4), x, towards), -1)
+
+    assert torch.autograd.gradcheck(answer, (points, x), fast_mode=True, atol=1e-4)
