@@ -73,48 +73,38 @@ def snout(rng: Rng, clay: Sculpture, chest, girth: float, frame) -> np.ndarray:
     clay.ball(skull, size * np.array([0.9, 1.05, 0.95]))
     look = unit([rng.normal(0, 0.25), -1, rng.uniform(-0.6, 0.1)])
     long = rng.uniform(0.5, 1.8) * size
-    clay.cone(
-        skull + 0.5 * size * look,
-        skull + (0.6 * size + long) * look,
-        size * 0.6,
-        size * rng.uniform(0.25, 0.5),
-    )
+    tip = skull + (0.6 * size + long) * look
+    clay.cone(skull + 0.5 * size * look, tip, size * 0.6, size * rng.uniform(0.25, 0.5))
     if chance(rng, 0.3):
         jaw = unit(np.add(look, (0, 0, -0.5)))
         clay.cone(skull, skull + (0.5 * size + long) * jaw, size * 0.35, size * 0.22, blend=0.02)
     if chance(rng, 0.1):
-        path = [
-            skull + size * look,
-            skull + (size + long) * look,
-            skull + (size + long) * look - (0, 0, 0.5),
-        ]
-        clay.chain(smooth_curve(path, 7), np.linspace(0.4, 0.2, 7) * size)
+        end = skull + (size + long) * look
+        trunk = smooth_curve([skull + size * look, end, end - (0, 0, 0.5)], 7)
+        clay.chain(trunk, np.linspace(0.4, 0.2, 7) * size)
+    ears(rng, clay, skull, size)
+    return skull
+
+
+def ears(rng: Rng, clay: Sculpture, skull, size: float) -> None:
+    """Two ears, flat or pointed, and sometimes two horns."""
     ear, out = rng.uniform(0.3, 1.4) * size, rng.uniform(0.3, 1.5)
-    flat = chance(rng, 0.5)
+    flat, horned = chance(rng, 0.5), chance(rng, 0.25)
+    curve = rng.normal(0, 0.5, 3) * size
     for s in (-1, 1):
         aim = unit([s * out, rng.uniform(-0.1, 0.4), rng.uniform(0.2, 1)])
         root = skull + 0.75 * size * unit([s * 0.7, 0.1, 0.8])
         if flat:
-            clay.ball(
-                root + 0.5 * ear * aim,
-                (0.4 * ear, 0.03, 0.7 * ear),
-                facing(aim, (0, 1, 0)),
-                blend=0.03,
-            )
+            thin_ear = (0.4 * ear, 0.03, 0.7 * ear)
+            clay.ball(root + 0.5 * ear * aim, thin_ear, facing(aim, (0, 1, 0)), blend=0.03)
         else:
             clay.cone(root, root + ear * aim, 0.28 * size, 0.06, blend=0.03)
-    if chance(rng, 0.25):
-        curve = rng.normal(0, 0.5, 3) * size
-        for s in (-1, 1):
+        if horned:
             turn = np.array([s, 1, 1])
             start = skull + size * unit([s * 0.4, -0.1, 0.9])
-            ends = [
-                start,
-                start + turn * (0.4, 0.1, 0.8) * size,
-                start + turn * (0.6, 0.4, 1.5) * size + turn * curve,
-            ]
-            clay.chain(smooth_curve(ends, 6), np.linspace(0.2, 0.08, 6) * size)
-    return skull
+            middle = start + turn * (0.4, 0.1, 0.8) * size
+            tip = start + turn * (0.6, 0.4, 1.5) * size + turn * curve
+            clay.chain(smooth_curve([start, middle, tip], 6), np.linspace(0.2, 0.08, 6) * size)
 
 
 def tail(rng: Rng, clay: Sculpture, root, girth: float) -> None:

@@ -41,57 +41,53 @@ def blade(rng: Rng, span: float, root: float, tip: float, sweep: float, thick: f
 def plane(rng: Rng) -> Parts:
     """An airliner, glider, jet, biplane, rocket or drone."""
     length, r, n = rng.uniform(1.8, 2.6), rng.uniform(0.1, 0.24), segments(rng)
-    nose, end = rng.uniform(0.1, 0.3), rng.uniform(0.3, 0.55)
-    x = np.linspace(0, 1, 30)
-    taper = np.minimum(
-        np.sqrt(np.clip(1 - (1 - x / nose).clip(0) ** 2, 0.01, 1)),
-        np.where(x > 1 - end, 0.25 + 0.75 * ((1 - x) / end).clip(0, 1) ** 0.7, 1),
-    )
-    body = revolve(np.r_[[[0, 0]], np.c_[r * taper, length * x], [[0, length]]], n)
-    body = body.rotate((0, -90, 0)).translate((length / 2, 0, 0))
-    parts = [body.scale((1, 1, rng.uniform(0.85, 1.3)))]
     span, chord = rng.uniform(0.5, 1.3), rng.uniform(0.25, 0.6)
     sweep, thick = rng.uniform(-0.05, 0.7), thin(rng, 0.022, 0.06)
     at, level = rng.uniform(-0.1, 0.2) * length, rng.uniform(-0.7, 0.8) * r
     right = blade(rng, span, chord, chord * rng.uniform(0.3, 0.9), sweep, thick)
-    wings = [move(right, at, 0, level), move(right.mirror((0, 1, 0)), at, 0, level)]
+    wings = both(right, at, level)
     if chance(rng, 0.15):
         wings += [move(wing, 0, 0, 1.6 * r) for wing in wings]
-        wings += [
-            strut((at, s * 0.6 * span, level), (at, s * 0.6 * span, level + 1.6 * r), 0.03)
-            for s in (-1, 1)
-        ]
+        for y in (-0.6 * span, 0.6 * span):
+            wings.append(strut((at, y, level), (at, y, level + 1.6 * r), 0.03))
     small = blade(rng, span * rng.uniform(0.25, 0.4), chord * 0.5, chord * 0.3, sweep * 0.4, thick)
-    back, up = -0.44 * length, rng.uniform(0, 0.5) * r
-    fin = blade(rng, rng.uniform(0.25, 0.5), chord * 0.6, chord * 0.35, 0.2, thick).rotate(
-        (90, 0, 0)
-    )
-    wings += [
-        move(small, back, 0, up),
-        move(small.mirror((0, 1, 0)), back, 0, up),
-        move(fin, back, 0, 0),
-    ]
-    parts += wings
+    fin = blade(rng, rng.uniform(0.25, 0.5), chord * 0.6, chord * 0.35, 0.2, thick)
+    wings += both(small, -0.44 * length, rng.uniform(0, 0.5) * r)
+    wings.append(move(fin.rotate((90, 0, 0)), -0.44 * length))
+    parts = [fuselage(rng, length, r, n), *wings]
     style = pick(rng, "jet", "prop", "none")
     if style == "jet":
         for share in pick(rng, (0.35,), (0.3, 0.6)):
-            for s in (-1, 1):
-                pod = rod(0.09, 0.35, axis="x", top=0.07, sides=n)
-                parts.append(move(pod, at + 0.1, s * share * span, level - 0.08))
+            parts += both(
+                rod(0.09, 0.35, (0, share * span, 0), "x", 0.07, n), at + 0.1, level - 0.08
+            )
     elif style == "prop":
-        disc = [
-            box((0.04, 0.7, 0.08)).rotate((180.0 * i / k, 0, 0))
-            for k in (int(rng.integers(1, 4)),)
-            for i in range(k)
-        ]
-        parts += [move(b, length / 2, 0, 0) for b in [*disc, ball((0.12, 0.07, 0.07))]]
+        count = int(rng.integers(1, 4))
+        turns = [box((0.04, 0.7, 0.08)).rotate((180.0 * i / count, 0, 0)) for i in range(count)]
+        parts += [move(part, length / 2) for part in [*turns, ball((0.12, 0.07, 0.07))]]
     if chance(rng, 0.35):
-        for a, b in ((0.35 * length, 0), (-0.05 * length, 0.2), (-0.05 * length, -0.2)):
-            parts.append(strut((a, b, 0), (a, b * 1.2, -r - 0.15), 0.03))
-            parts.append(rod(0.08, 0.06, (a, b * 1.2, -r - 0.15), "y", sides=16))
+        for x, y in ((0.35 * length, 0), (-0.05 * length, 0.2), (-0.05 * length, -0.2)):
+            foot = (x, y * 1.2, -r - 0.15)
+            parts += [strut((x, y, 0), foot, 0.03), rod(0.08, 0.06, foot, "y", sides=16)]
     if chance(rng, 0.5):
         parts.append(ball((0.25, r * 0.6, r * 0.7), (0.25 * length, 0, r * 0.75)))
     return parts
+
+
+def both(part: Manifold, x: float, z: float) -> Parts:
+    """A part and its mirror image in y, moved."""
+    return [move(part, x, 0, z), move(part.mirror((0, 1, 0)), x, 0, z)]
+
+
+def fuselage(rng: Rng, length: float, radius: float, sides: int) -> Manifold:
+    """A body of revolution with a round nose and a tapered tail."""
+    nose, end = rng.uniform(0.1, 0.3), rng.uniform(0.3, 0.55)
+    x = np.linspace(0, 1, 30)
+    front = np.sqrt(np.clip(1 - (1 - x / nose).clip(0) ** 2, 0.01, 1))
+    back = np.where(x > 1 - end, 0.25 + 0.75 * ((1 - x) / end).clip(0, 1) ** 0.7, 1)
+    outline = np.c_[radius * np.minimum(front, back), length * x]
+    body = revolve(np.r_[[[0, 0]], outline, [[0, length]]], sides).rotate((0, -90, 0))
+    return body.translate((length / 2, 0, 0)).scale((1, 1, rng.uniform(0.85, 1.3)))
 
 
 def boat(rng: Rng) -> Parts:

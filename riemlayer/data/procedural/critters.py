@@ -20,44 +20,48 @@ def insect(rng: Rng) -> Sculpture:
     wide = rng.uniform(0.8, 1.6)
     for i in range(count):
         clay.ball((0, y[i], 0), sizes[i] * np.array([wide, 1.1, rng.uniform(0.5, 0.9)]))
-    reach, rise = rng.uniform(0.4, 1.0), rng.uniform(0.0, 0.45)
-    r = rng.uniform(0.03, 0.05)
-    for i in range(pairs):
-        at = y[0] + (i + 0.5) / pairs * (y[-1] - y[0]) * rng.uniform(0.7, 1)
-        sweep = (i / max(pairs - 1, 1) - 0.5) * rng.uniform(0.8, 2)
+    feet(rng, clay, y[0] + (np.arange(pairs) + 0.5) / pairs * (y[-1] - y[0]) * rng.uniform(0.7, 1))
+    front = np.array([0, -sizes[0], 0])
+    if chance(rng, 0.55):
+        claws(rng, clay, front, sizes[0])
+    if chance(rng, 0.45):
+        sting(rng, clay, np.array([0, y[-1] + sizes[-1] * 0.7, 0]))
+    for s in (-1, 1):
+        if chance(rng, 0.35):
+            reach = rng.uniform((0.1, 0.3, 0), (0.5, 0.8, 0.5)) * (s, -1, 1)
+            knee = front + 0.5 * reach + (0, 0, 0.1)
+            clay.chain(smooth_curve([front, knee, front + reach], 5), 0.03)
+        if pairs == 3 and chance(rng, 0.4):
+            aim = unit([s, rng.uniform(0, 1), 0.2])
+            clay.ball((0, y[0], 0.15) + 0.4 * aim, (0.035, 0.2, 0.45), facing(aim, (0, 1, 0)))
+    return clay
+
+
+def feet(rng: Rng, clay: Sculpture, stations: np.ndarray) -> None:
+    """Pairs of thin bent legs along the body."""
+    reach, rise, r = rng.uniform(0.4, 1.0), rng.uniform(0.0, 0.45), rng.uniform(0.03, 0.05)
+    for i, at in enumerate(stations):
+        sweep = (i / max(len(stations) - 1, 1) - 0.5) * rng.uniform(0.8, 2)
         for s in (-1, 1):
             wiggle = sweep + rng.normal(0, 0.15)
             out = np.array([s * np.cos(wiggle), np.sin(wiggle), 0])
             root = np.array([s * 0.1, at, 0])
             knee = root + (0.15 + 0.45 * reach) * out + (0, 0, rise)
             foot = root + (0.15 + reach) * out + (0, 0, -rng.uniform(0.1, 0.35))
-            clay.chain(
-                [root, knee, (knee + foot) / 2 + 0.08 * out, foot], [r * 1.4, r * 1.1, r, r * 0.8]
-            )
-    front = np.array([0, -sizes[0], 0])
-    if chance(rng, 0.55):
-        claws(rng, clay, front, sizes[0])
-    if chance(rng, 0.45):
-        start, steps = np.array([0, y[-1] + sizes[-1] * 0.7, 0]), 8
-        curl, aim = rng.uniform(0.1, 0.45), np.array([0, 1.0, 0])
-        path = [start]
-        for _ in range(steps):
-            aim = rotation((1, 0, 0), curl) @ aim
-            path.append(path[-1] + rng.uniform(0.11, 0.17) * aim)
-        for a in path:
-            clay.ball(a, rng.uniform(0.06, 0.09), blend=0.02)
-        clay.chain(path, np.linspace(0.09, 0.05, steps + 1))
-        clay.cone(path[-1], path[-1] + 0.15 * (rotation((1, 0, 0), 0.8) @ aim), 0.07, 0.03)
-    for s in (-1, 1):
-        if chance(rng, 0.35):
-            tip = np.add(
-                front, (s * rng.uniform(0.1, 0.5), -rng.uniform(0.3, 0.8), rng.uniform(0, 0.5))
-            )
-            clay.chain(smooth_curve([front, (front + tip) / 2 + (0, 0, 0.1), tip], 5), 0.03)
-        if pairs == 3 and chance(rng, 0.4):
-            aim = unit([s, rng.uniform(0, 1), 0.2])
-            clay.ball((0, y[0], 0.15) + 0.4 * aim, (0.035, 0.2, 0.45), facing(aim, (0, 1, 0)))
-    return clay
+            shin = (knee + foot) / 2 + 0.08 * out
+            clay.chain([root, knee, shin, foot], r * np.array([1.4, 1.1, 1.0, 0.8]))
+
+
+def sting(rng: Rng, clay: Sculpture, start: np.ndarray) -> None:
+    """A tail of beads that curls up and ends in a spike."""
+    curl, aim, path = rng.uniform(0.1, 0.45), np.array([0, 1.0, 0]), [start]
+    for _ in range(8):
+        aim = rotation((1, 0, 0), curl) @ aim
+        path.append(path[-1] + rng.uniform(0.11, 0.17) * aim)
+    for at in path:
+        clay.ball(at, rng.uniform(0.06, 0.09), blend=0.02)
+    clay.chain(path, np.linspace(0.09, 0.05, 9))
+    clay.cone(path[-1], path[-1] + 0.15 * (rotation((1, 0, 0), 0.8) @ aim), 0.07, 0.03)
 
 
 def claws(rng: Rng, clay: Sculpture, front, size: float) -> None:

@@ -86,33 +86,24 @@ def rack(rng: Rng) -> Parts:
     """Bent pipes: an exercise machine, bench, ladder, drying rack, trolley, stand, cage."""
     r, n = rng.uniform(0.035, 0.07), int(rng.integers(6, 16))
     wide, tall, deep = rng.uniform(0.5, 1.2), rng.uniform(0.7, 1.8), rng.uniform(0.5, 1.6)
+    flat, lean = chance(rng, 0.4), rng.uniform(-0.3, 0.3) * deep
+    top = 0.3 * lean
+
+    def bar(a, b) -> Manifold:
+        """A square or round pipe; pipes along y are always round."""
+        along_y = abs(a[1] - b[1]) > 0.9 * np.linalg.norm(np.subtract(a, b))
+        return beam(a, b, 1.8 * r) if flat and not along_y else strut(a, b, r, sides=n)
+
     parts: Parts = []
-    flat = chance(rng, 0.4)
-
-    def bar(a, b):
-        a, b = np.asarray(a, float), np.asarray(b, float)
-        side = abs(b - a)[1] > 0.9 * np.linalg.norm(b - a)
-        return strut(a, b, r, sides=n) if not flat or side else beam(a, b, 1.8 * r, 1.8 * r)
-
-    for s in (-1, 1):
-        x = s * wide / 2
-        lean = rng.uniform(-0.3, 0.3) * deep
-        parts += [
-            bar((x, -deep / 2, 0), (x, deep / 2, 0.001)),
-            bar((x, lean, 0), (x, lean * 0.3, tall)),
-        ]
+    for x in (-wide / 2, wide / 2):
+        parts += [bar((x, -deep / 2, 0), (x, deep / 2, 0)), bar((x, lean, 0), (x, top, tall))]
         if chance(rng, 0.6):
             parts.append(bar((x, deep * 0.4, 0), (x, lean * 0.5, tall * rng.uniform(0.4, 0.9))))
         if chance(rng, 0.4):
-            path = [
-                (x, lean * 0.3, tall),
-                (x, lean * 0.3 - 0.2, tall + 0.15),
-                (x, lean * 0.3 - 0.5, tall + 0.05),
-            ]
+            path = [(x, top, tall), (x, top - 0.2, tall + 0.15), (x, top - 0.5, tall + 0.05)]
             parts.append(tube(smooth_curve(path, 20), r, n))
-    levels = rng.uniform(0, 1, int(rng.integers(2, 7)))
-    for z in [0.0, 1.0, *levels]:
-        y = 0.3 * lean * z + lean * (1 - z)
+    for z in [0.0, 1.0, *rng.uniform(0, 1, int(rng.integers(2, 7)))]:
+        y = top * z + lean * (1 - z)
         parts.append(strut((-wide / 2, y, z * tall), (wide / 2, y, z * tall), r, sides=n))
     if chance(rng, 0.5):
         z, long = tall * rng.uniform(0.3, 0.6), rng.uniform(0.6, 1.4)
@@ -120,11 +111,9 @@ def rack(rng: Rng) -> Parts:
         parts.append(bar((0, lean - long + 0.1, z), (0.001, lean - long, 0)))
     if chance(rng, 0.35):
         span = wide * rng.uniform(0.7, 1.1)
-        parts.append(strut((-span, 0.3 * lean, tall), (span, 0.3 * lean, tall), r, sides=n))
-        parts += [
-            rod(rng.uniform(0.15, 0.35), 0.1, (s * span * 0.9, 0.3 * lean, tall), "x")
-            for s in (-1, 1)
-        ]
+        parts.append(strut((-span, top, tall), (span, top, tall), r, sides=n))
+        for x in (-0.9 * span, 0.9 * span):
+            parts.append(rod(rng.uniform(0.15, 0.35), 0.1, (x, top, tall), "x"))
     return parts
 
 

@@ -28,7 +28,7 @@ Parts = list[Manifold]
 def legs(rng: Rng, width: float, depth: float, height: float, thick: float) -> Parts:
     """Legs from the floor (z = 0) up to a height: posts, splayed, turned, pedestal, slabs, sled."""
     style = pick(
-        rng, "post", "round", "splay", "splay", "pedestal", "slabs", "sled", "cross", "turned"
+        rng, "post", "round", "splay", "splay", "pedestal", "slab", "sled", "cross", "turned"
     )
     x, y, n = width / 2 - thick, depth / 2 - thick, segments(rng)
     corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
@@ -38,22 +38,14 @@ def legs(rng: Rng, width: float, depth: float, height: float, thick: float) -> P
         top = thick * rng.uniform(0.6, 1.2)
         return [rod(thick / 2, height, (a, b, height / 2), top=top, sides=n) for a, b in corners]
     if style == "splay":
-        out = rng.uniform(1.0, 1.35)
-        r = thick * rng.uniform(0.35, 0.6)
+        out, r = rng.uniform(1.0, 1.35), thick * rng.uniform(0.35, 0.6)
         feet = [strut((a * out, b * out, r), (a, b, height), r, thick * 0.6) for a, b in corners]
         return feet if chance(rng, 0.6) else feet + stretchers(rng, corners, height, thick, out)
     if style == "pedestal":
-        foot = rng.uniform(0.3, 0.55) * min(width, depth)
-        parts = [rod(thick * rng.uniform(0.6, 1.4), height, (0, 0, height / 2), sides=n)]
-        if chance(rng, 0.5):
-            return [*parts, rod(foot, thick, (0, 0, thick / 2), top=foot * 0.8, sides=n)]
-        angle = np.arange(k := int(rng.integers(3, 6))) * 2 * np.pi / k
-        tips = np.stack([foot * np.cos(angle), foot * np.sin(angle), 0 * angle + thick / 2], 1)
-        return parts + [strut((0, 0, thick), tip, thick * 0.6, thick * 0.45) for tip in tips]
-    if style == "slabs":
-        return [
-            any_box(rng, (thick, depth * 0.95, height), (s * x, 0, height / 2)) for s in (-1, 1)
-        ]
+        return pedestal(rng, rng.uniform(0.3, 0.55) * min(width, depth), height, thick, n)
+    if style == "slab":
+        size = (thick, depth * 0.95, height)
+        return [any_box(rng, size, (s * x, 0, height / 2)) for s in (-1, 1)]
     if style == "sled":
         posts = [box((thick, thick, height), (a, b, height / 2)) for a, b in corners]
         return posts + [box((thick, 2 * y + thick, thick), (s * x, 0, thick / 2)) for s in (-1, 1)]
@@ -64,8 +56,18 @@ def legs(rng: Rng, width: float, depth: float, height: float, thick: float) -> P
         return [strut(a, b, thick * 0.5) for a, b in pairs] + [bar]
     knots = smooth_curve(np.c_[np.linspace(0, height, 6), rng.uniform(0.3, 0.75, 6) * thick], 20)
     knots[:, 1] = np.maximum(knots[:, 1], 0.25 * thick)
-    profile = np.r_[[[0, 0]], knots[:, ::-1], [[0, height]]]
-    return [move(revolve(profile, n), a, b) for a, b in corners]
+    turned = revolve(np.r_[[[0, 0]], knots[:, ::-1], [[0, height]]], n)
+    return [move(turned, a, b) for a, b in corners]
+
+
+def pedestal(rng: Rng, foot: float, height: float, thick: float, sides: int) -> Parts:
+    """One column on a disc or on three to five arms."""
+    parts = [rod(thick * rng.uniform(0.6, 1.4), height, (0, 0, height / 2), sides=sides)]
+    if chance(rng, 0.5):
+        return [*parts, rod(foot, thick, (0, 0, thick / 2), top=foot * 0.8, sides=sides)]
+    angle = np.arange(k := int(rng.integers(3, 6))) * 2 * np.pi / k
+    tips = np.stack([foot * np.cos(angle), foot * np.sin(angle), 0 * angle + thick / 2], 1)
+    return parts + [strut((0, 0, thick), tip, thick * 0.6, thick * 0.45) for tip in tips]
 
 
 def stretchers(rng: Rng, corners, height: float, thick: float, out: float) -> Parts:
@@ -79,58 +81,55 @@ def stretchers(rng: Rng, corners, height: float, thick: float, out: float) -> Pa
 
 def backrest(rng: Rng, width: float, seat: float, height: float, thick: float) -> Parts:
     """The back of a chair in the plane y = 0, from the seat's level upward, leaning back."""
-    style = pick(rng, "panel", "panel", "slats", "ladder", "round", "frame")
-    if style == "panel":
-        low = rng.uniform(0, 0.3) * height
-        parts = [
-            any_box(rng, (width, thick, height - low), (0, 0, (height + low) / 2), 0.3 * thick)
-        ]
-        if low > 0.02:
-            parts += [
-                box((thick, thick, height), (s * width * 0.35, 0, height / 2)) for s in (-1, 1)
-            ]
-        if chance(rng, 0.25):
-            holes = rng.integers(1, 4)
-            size = (width * 0.5, 3 * thick, 0.5 * (height - low) / holes)
-            levels = low + (np.arange(holes) + 0.5) / holes * (height - low)
-            parts[0] = cut(parts[0], [box(size, (0, 0, z)) for z in levels])
-    elif style == "round":
-        outline = smooth_curve(
-            [
-                (-width / 2, 0, 0),
-                (-width / 2, 0, 0.7 * height),
-                (0, 0, height),
-                (width / 2, 0, 0.7 * height),
-                (width / 2, 0, 0),
-            ],
-            32,
-        )
-        parts = [tube(outline, thick * 0.6, 10)]
-        spindles = np.linspace(-0.4, 0.4, int(rng.integers(2, 6))) * width
-        parts += [
-            rod(thick * 0.4, 0.85 * height, (a, 0, 0.425 * height), sides=8) for a in spindles
-        ]
-    else:
-        parts = [
-            box((thick, thick, height), (s * (width - thick) / 2, 0, height / 2)) for s in (-1, 1)
-        ]
-        parts += [box((width, thick * 0.9, thick * rng.uniform(1, 3)), (0, 0, height - thick / 2))]
-        count = int(rng.integers(2, 6))
-        if style == "slats":
-            size = (width / count * 0.5, thick * 0.7, height)
-            parts += [
-                box(size, (a, 0, height / 2))
-                for a in (np.arange(count) + 0.5) / count * width - width / 2
-            ]
-        elif style == "ladder":
-            levels = (np.arange(count) + 0.5) / count * height
-            parts += [box((width, thick * 0.7, height / count * 0.45), (0, 0, z)) for z in levels]
-        else:
-            parts += [
-                any_box(rng, (width * 0.9, thick * 0.5, height * 0.7), (0, 0, height * 0.5), 0.1)
-            ]
+    parts = pick(rng, panel, panel, hoop, open_back, open_back, open_back)(
+        rng, width, height, thick
+    )
     lean = rng.uniform(-0.5, 22)
     return [move(part.rotate((-lean, 0, 0)), 0, 0, seat) for part in parts]
+
+
+def panel(rng: Rng, width: float, height: float, thick: float) -> Parts:
+    """A board, down to the seat or on two posts, sometimes with windows."""
+    low = rng.uniform(0, 0.3) * height
+    board = any_box(rng, (width, thick, height - low), (0, 0, (height + low) / 2), 0.3 * thick)
+    if chance(rng, 0.25):
+        holes = int(rng.integers(1, 4))
+        size = (width * 0.5, 3 * thick, 0.5 * (height - low) / holes)
+        levels = low + (np.arange(holes) + 0.5) / holes * (height - low)
+        board = cut(board, [box(size, (0, 0, z)) for z in levels])
+    return [board, *posts(width * 0.7 + thick, height, thick)]
+
+
+def posts(width: float, height: float, thick: float) -> Parts:
+    """Two upright posts, `width` apart from outside to outside."""
+    x = (width - thick) / 2
+    return [box((thick, thick, height), (s * x, 0, height / 2)) for s in (-1, 1)]
+
+
+def hoop(rng: Rng, width: float, height: float, thick: float) -> Parts:
+    """A bent rod with spindles."""
+    x = width / 2
+    knots = [(-x, 0, 0), (-x, 0, 0.7 * height), (0, 0, height), (x, 0, 0.7 * height), (x, 0, 0)]
+    spindles = np.linspace(-0.4, 0.4, int(rng.integers(2, 6))) * width
+    rods = [rod(thick * 0.4, 0.85 * height, (a, 0, 0.425 * height), sides=8) for a in spindles]
+    return [tube(smooth_curve(knots, 32), thick * 0.6, 10), *rods]
+
+
+def open_back(rng: Rng, width: float, height: float, thick: float) -> Parts:
+    """Two posts and a rail with slats, rungs or an inner panel."""
+    rail = box((width, thick * 0.9, thick * rng.uniform(1, 3)), (0, 0, height - thick / 2))
+    count = int(rng.integers(2, 6))
+    share = (np.arange(count) + 0.5) / count
+    style = pick(rng, "slats", "rungs", "panel")
+    if style == "slats":
+        size = (width / count * 0.5, thick * 0.7, height)
+        inner = [box(size, ((t - 0.5) * width, 0, height / 2)) for t in share]
+    elif style == "rungs":
+        size = (width, thick * 0.7, height / count * 0.45)
+        inner = [box(size, (0, 0, t * height)) for t in share]
+    else:
+        inner = [any_box(rng, (width * 0.9, thick * 0.5, height * 0.7), (0, 0, height * 0.5), 0.1)]
+    return [*posts(width, height, thick), rail, *inner]
 
 
 def chair(rng: Rng) -> Parts:

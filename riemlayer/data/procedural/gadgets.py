@@ -74,52 +74,27 @@ def gadget(rng: Rng) -> Parts:
     """A remote, phone, camera, radio, console or clock."""
     size = np.array([rng.uniform(0.8, 2.2), rng.uniform(0.4, 1.2), rng.uniform(0.15, 0.7)])
     body, top = case(rng, size), size[2] / 2
-    parts, holes = [], []
-    if chance(rng, 0.65):
-        up, down = keys(rng, size, top * 0.98)
-        parts, holes = parts + up, holes + down
+    parts, holes = keys(rng, size, top * 0.98) if chance(rng, 0.65) else ([], [])
+    x = rng.uniform(-0.2, 0.2, 2) * size[0]
     if chance(rng, 0.4):
         screen = (size[0] * rng.uniform(0.3, 0.6), size[1] * rng.uniform(0.5, 0.85), 0.1)
-        holes.append(move(any_box(rng, screen), rng.uniform(-0.2, 0.2) * size[0], 0, top))
+        holes.append(move(any_box(rng, screen), x[0], 0, top))
     if chance(rng, 0.45):
-        parts += [
-            move(part, rng.uniform(-0.2, 0.2) * size[0], 0, top - 0.02) for part in lens(rng, size)
-        ]
+        parts += [move(part, x[1], 0, top - 0.02) for part in lens(rng, size)]
     for _ in range(rng.integers(0, 4)):
-        r = rng.uniform(0.04, 0.15)
-        y, s = rng.uniform(-0.4, 0.4) * size[0], pick(rng, -1, 1)
-        knob = rod(
-            r,
-            0.24,
-            (y, s * size[1] / 2, rng.uniform(-0.2, 0.2) * size[2]),
-            "y",
-            sides=segments(rng),
-        )
+        at = (rng.uniform(-0.4, 0.4), pick(rng, -0.5, 0.5), rng.uniform(-0.2, 0.2)) * size
+        knob = rod(rng.uniform(0.04, 0.15), 0.24, at, "y", sides=segments(rng))
         (parts if chance(rng, 0.7) else holes).append(knob)
     if chance(rng, 0.25):
-        parts.append(
-            move(
-                tube(
-                    smooth_curve([(-0.4, 0, 0), (-0.35, 0, 0.3), (0.35, 0, 0.3), (0.4, 0, 0)], 24),
-                    0.06,
-                ).rotate((90, 0, 0)),
-                0,
-                size[1] / 2 - 0.02,
-                0,
-            )
-        )
+        loop = smooth_curve([(-0.4, 0, 0), (-0.35, 0.3, 0), (0.35, 0.3, 0), (0.4, 0, 0)], 24)
+        parts.append(move(tube(loop, 0.06), 0, size[1] / 2 - 0.02))
     if chance(rng, 0.2):
         tall = rng.uniform(0.3, 1)
-        parts.append(
-            rod(0.04, tall, (size[0] * 0.45, 0, tall / 2), sides=10).rotate(
-                (0, rng.uniform(0, 80), 0)
-            )
-        )
+        aerial = rod(0.04, tall, (size[0] * 0.45, 0, tall / 2), sides=10)
+        parts.append(aerial.rotate((0, rng.uniform(0, 80), 0)))
     if chance(rng, 0.2):
-        holes += [
-            box((0.03, 0.6 * size[1], 0.16), (x, 0, -top))
-            for x in np.linspace(-0.3, 0.3, 6) * size[0]
-        ]
+        slot = (0.03, 0.6 * size[1], 0.16)
+        holes += [box(slot, (u, 0, -top)) for u in np.linspace(-0.3, 0.3, 6) * size[0]]
     return [cut(body, holes), *parts]
 
 
@@ -154,9 +129,8 @@ def appliance(rng: Rng) -> Parts:
         z, r = z + tall - 0.015, after
     if chance(rng, 0.3):
         groove = rng.uniform(0.1, 0.9, 3) * z
-        rings = [
-            tube(_circle(0.0 + np.ptp(_radii(parts, g)) / 2, g), 0.035, 8, True) for g in groove
-        ]
+        radii = [np.ptp(section_ends(parts, z)) / 2 for z in groove]
+        rings = [tube(circle(r, z), 0.035, 8, True) for r, z in zip(radii, groove, strict=True)]
         parts += rings
     if chance(rng, 0.3):
         turn = pick(rng, 2, 2, 3)
@@ -177,12 +151,13 @@ def appliance(rng: Rng) -> Parts:
     return parts
 
 
-def _circle(radius: float, z: float) -> np.ndarray:
+def circle(radius: float, z: float) -> np.ndarray:
+    """A closed polygon (36, 3) about the z axis."""
     t = np.arange(36) * np.pi / 18
     return np.stack([radius * np.cos(t), radius * np.sin(t), 0 * t + z], 1)
 
 
-def _radii(parts: Parts, z: float) -> np.ndarray:
+def section_ends(parts: Parts, z: float) -> np.ndarray:
     """The x coordinates of the section of stacked parts at a height."""
     polygons = union(parts).slice(float(z)).to_polygons()
     return np.concatenate(polygons)[:, 0] if polygons else np.array([-0.3, 0.3])

@@ -1,12 +1,10 @@
-"""Growing and modelled things: blobs, trees, plants, fruit, toys, garments, reliefs."""
+"""Growing things: blobs of clay, trees, plants, fruit."""
 
 import numpy as np
 from manifold3d import Manifold
 
-from riemlayer.data.procedural.animals import fish, quadruped
-from riemlayer.data.procedural.figures import bust, facing, hand, humanoid, rotation, unit
+from riemlayer.data.procedural.figures import facing, rotation, unit
 from riemlayer.data.procedural.sculpture import Sculpture
-from riemlayer.data.procedural.sheets import slab
 from riemlayer.data.procedural.solids import (
     Rng,
     ball,
@@ -30,7 +28,7 @@ def blob(rng: Rng) -> Sculpture:
     else:
         at = np.zeros(3)
         for _ in range(rng.integers(2, 14)):
-            clay.ball(at, rng.uniform(0.15, 0.5, 3), rotation=_turn(rng))
+            clay.ball(at, rng.uniform(0.15, 0.5, 3), rotation=random_rotation(rng))
             at = at + rng.normal(0, 0.3, 3)
             if chance(rng, 0.2):
                 at = np.zeros(3)
@@ -43,7 +41,8 @@ def blob(rng: Rng) -> Sculpture:
     return clay
 
 
-def _turn(rng: Rng) -> np.ndarray:
+def random_rotation(rng: Rng) -> np.ndarray:
+    """A rotation (3, 3), all equally likely."""
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return q * np.sign(np.linalg.det(q))
 
@@ -164,100 +163,3 @@ def fruit(rng: Rng) -> Sculpture:
     if chance(rng, 0.3):
         clay.ball(rng.normal(size=3) * (1, 1, 0.2), 0.5, removes=True, blend=0.03)
     return clay
-
-
-def toy(rng: Rng) -> Sculpture:
-    """A teddy, duck, snowman, gnome or chess piece: few round masses, on a base or not."""
-    clay = Sculpture(rng.uniform(0.02, 0.12))
-    body, skull = rng.uniform(0.35, 0.55, 3), rng.uniform(0.25, 0.45, 3)
-    clay.ball((0, 0, 0), body)
-    head = np.array([0, -rng.uniform(0, 0.2), body[2] + 0.6 * skull[2]])
-    clay.ball(head, skull)
-    clay.ball(np.add(head, (0, -skull[1], -0.08)), rng.uniform(0.06, 0.2, 3), blend=0.03)
-    high, low = rng.uniform(-0.6, 0.9), rng.uniform(-0.9, -0.2)
-    for s in (-1, 1):
-        ear = unit([s * rng.uniform(0.3, 1), 0.1, 1])
-        clay.ball(head + 0.9 * skull * ear, rng.uniform(0.06, 0.2, 3), facing(ear), blend=0.02)
-        arm = unit([s, -rng.uniform(0, 0.9), high])
-        clay.cone((s * 0.3, 0, 0.2), np.add((s * 0.3, 0, 0.2), 0.5 * arm), 0.14, 0.13)
-        foot = unit([s * 0.6, -rng.uniform(0.2, 1), low])
-        clay.cone((s * 0.2, 0, -0.25), np.add((s * 0.2, 0, -0.25), 0.5 * foot), 0.17, 0.16)
-    if chance(rng, 0.35):
-        base = rng.uniform(0.5, 0.9)
-        clay.block((0, 0, -body[2] - 0.25), (base, base, 0.15), round_=0.05, blend=0.03)
-    if chance(rng, 0.3):
-        clay.cone(
-            np.add(head, (0, 0, 0.6 * skull[2])),
-            np.add(head, (0, 0, skull[2] + 0.5)),
-            0.25,
-            0.05,
-            blend=0.02,
-        )
-    if chance(rng, 0.3):
-        clay.ball((0, body[1] + 0.05, -0.2), 0.12)
-    return clay
-
-
-def garment(rng: Rng) -> Sculpture:
-    """A hollow thing with openings: shirt, trousers, hat, glove, mask, sack, helmet, vest."""
-    clay = Sculpture(rng.uniform(0.04, 0.1))
-    wall = rng.uniform(0.05, 0.08)
-    style = pick(rng, "shirt", "trousers", "hat", "sack")
-    flat = rotation((1, 0, 0), np.pi / 2)
-    if style == "shirt":
-        arm = unit([1, 0, -rng.uniform(-0.1, 1.2)]) * rng.uniform(0.5, 1.1)
-        wide = rng.uniform(0.25, 0.36)
-        limbs = [((0, 0, 0.4), (0, 0, -rng.uniform(0.5, 1.2)), wide, wide * rng.uniform(0.9, 1.6))]
-        limbs += [
-            ((s * 0.2, 0, 0.45), (s * (0.2 + arm[0]), 0, 0.45 + arm[2]), 0.2, 0.16) for s in (-1, 1)
-        ]
-        limbs.append(((0, 0, 0.4), (0, 0, 0.85), 0.18, 0.14))
-    elif style == "trousers":
-        out, long = rng.uniform(0.1, 0.4), rng.uniform(0.4, 1.4)
-        limbs: list = [((0, 0, 0.1), (0, 0, 0.5), 0.34, 0.3)]
-        limbs += [((s * 0.15, 0, 0.1), (s * (0.15 + out), 0, -long), 0.22, 0.17) for s in (-1, 1)]
-    elif style == "hat":
-        limbs = [((0, 0, 0), (0, 0, rng.uniform(0.2, 0.8)), 0.5, rng.uniform(0.3, 0.55))]
-        brim = rng.uniform(0.6, 1.0)
-        clay.ball((0, rng.uniform(-0.3, 0), 0.0), (brim, brim, 0.06))
-        limbs.append(((0, 0, 0), (0, 0, -0.6), 0.5, 0.5))
-    else:
-        limbs = [((0, 0, 0), (0, 0, rng.uniform(0.3, 1)), *rng.uniform(0.3, 0.6, 2))]
-        limbs.append(((0, 0, 0.5), (0, 0, 1.6), 0.2, 0.25))
-    for a, b, ra, rb in limbs:
-        if not (style == "hat" and b[2] < 0):
-            clay.cone(a, b, ra, rb)
-    for a, b, ra, rb in limbs:
-        through = style != "hat" or b[2] < 0
-        end = np.add(b, 0.5 * unit(np.subtract(b, a))) if through else b
-        clay.cone(a, end, ra - wall, rb - wall, removes=True, blend=0.02)
-        if through:
-            cap = np.add(b, (rb + 0.02) * unit(np.subtract(b, a)))
-            turn = facing(np.subtract(b, a), flat @ (0, 0, 1.0))
-            clay.block(cap, (1.3 * rb, 1.3 * rb, rb * 0.9), turn, removes=True, blend=0.01)
-    clay.roughen(rng, rng.uniform(0, 0.01), rng.uniform(0.3, 0.8))
-    return clay
-
-
-def relief(rng: Rng) -> list[Manifold]:
-    """The front of a sculpture as a thick plate: a mask, coin, or the wall of a depth scan."""
-    from scipy.ndimage import gaussian_filter
-
-    model = pick(rng, bust, quadruped, hand, blob, humanoid, fish, toy)(rng)
-    model.cells = 2e5
-    values, _, step = model.grid()
-    axis = int(rng.integers(3))
-    inside = np.moveaxis(values < 0, axis, -1)
-    if chance(rng, 0.5):
-        inside = inside[..., ::-1]
-    count = inside.shape[-1]
-    height = np.where(inside.any(-1), count - np.argmax(inside[..., ::-1], -1), 0) * step
-    height = gaussian_filter(height * rng.uniform(0.3, 1.0), rng.uniform(0.8, 2.5))
-    x, y = (np.arange(n) * step for n in height.shape)
-    top = np.stack([*np.meshgrid(x, y, indexing="ij"), height], -1)
-    thick = rng.uniform(0.06, 0.4) * max(x[-1], y[-1]) / 2
-    bottom = top.copy()
-    bottom[..., 2] = -thick
-    if chance(rng, 0.3):
-        bottom[..., 2] = gaussian_filter(height, 2.0) - thick - 0.1
-    return [slab(top, bottom)]

@@ -16,6 +16,7 @@ from riemlayer.data.procedural.solids import (
     pick,
     rod,
     segments,
+    thin,
 )
 
 Parts = list[Manifold]
@@ -111,56 +112,54 @@ def building(rng: Rng) -> Parts:
 
 def bridge(rng: Rng) -> Parts:
     """An arch bridge, gate, colonnade, stair or pier."""
-    long, wide = rng.uniform(1.5, 2.6), rng.uniform(0.3, 0.8)
-    style = pick(rng, "arches", "stairs", "columns")
-    if style == "stairs":
-        steps, rise = int(rng.integers(4, 11)), rng.uniform(0.5, 1.2)
-        run = long / steps
-        solid = chance(rng, 0.5)
-        treads = [
-            box(
-                (run * 1.02, wide, (i + 1) * rise / steps if solid else 0.1),
-                (i * run, 0, (i + 1) * rise / steps / 2 if solid else (i + 1) * rise / steps),
-            )
-            for i in range(steps)
-        ]
-        slope = [
-            beam((0, s * wide * 0.45, 0.03), (long - run, s * wide * 0.45, rise), 0.1)
-            for s in (-1, 1)
-        ]
-        rails = [
-            beam((0, s * wide * 0.46, 0.6), (long - run, s * wide * 0.46, rise + 0.6), 0.06)
-            for s in (-1, 1)
-        ]
-        posts = [
-            box((0.06, 0.06, 0.6), (x * (long - run), s * wide * 0.46, x * rise + 0.3))
-            for x in (0, 0.5, 1)
-            for s in (-1, 1)
-        ]
-        return [*treads, *slope, *(rails + posts if chance(rng, 0.5) else [])]
+    return pick(rng, arches, stairs, colonnade)(rng, rng.uniform(1.5, 2.6), rng.uniform(0.3, 0.8))
+
+
+def stairs(rng: Rng, long: float, wide: float) -> Parts:
+    """Solid or open steps on two beams, sometimes with rails."""
+    steps, rise, solid = int(rng.integers(4, 11)), rng.uniform(0.5, 1.2), chance(rng, 0.5)
+    run, parts = long / steps, []
+    for i in range(steps):
+        z = (i + 1) * rise / steps
+        size = (run * 1.02, wide, z if solid else 0.1)
+        parts.append(box(size, (i * run, 0, z / 2 if solid else z)))
+    railed = chance(rng, 0.5)
+    for y in (-0.455 * wide, 0.455 * wide):
+        parts.append(beam((0, y, 0.03), (long - run, y, rise), 0.1))
+        if railed:
+            parts.append(beam((0, y, 0.6), (long - run, y, rise + 0.6), 0.06))
+            at = [(t * (long - run), y, t * rise + 0.3) for t in (0, 0.5, 1)]
+            parts += [box((0.06, 0.06, 0.6), x) for x in at]
+    return parts
+
+
+def arches(rng: Rng, long: float, wide: float) -> Parts:
+    """A wall with arches, with or without parapets."""
     tall, count = rng.uniform(0.5, 1.0), int(rng.integers(1, 5))
-    pitch = long / count
-    if style == "arches":
-        body = box((long, wide, tall), (0, 0, tall / 2))
-        holes = []
-        for x in (np.arange(count) + 0.5 - count / 2) * pitch:
-            r = min(pitch * 0.38, tall * 0.75)
-            arch = rod(r, 3, axis="y", sides=segments(rng))
-            holes.append(
-                move(hull(arch, box((2 * r, 3, 0.1), (0, 0, -1))), x, 0, max(tall - r - 0.12, 0.05))
-            )
-        parts = [cut(body, holes)]
-        if chance(rng, 0.6):
-            parts += [
-                box((long, 0.08, 0.2), (0, s * (wide / 2 - 0.04), tall + 0.08)) for s in (-1, 1)
-            ]
-        return parts
-    n, r = segments(rng), rng.uniform(0.06, 0.12)
-    at = [(x, s * wide / 2) for x in np.linspace(-0.45, 0.45, count + 1) * long for s in (-1, 1)]
-    parts = [rod(r, tall, (*p, tall / 2), top=r * 0.85, sides=n) for p in at]
-    parts += [box((3 * r, 3 * r, 0.1), (*p, z)) for p in at for z in (0.04, tall - 0.04)]
-    return [
-        *parts,
-        *(box((long + 0.3, wide + 0.4, 0.12), (0, 0, z)) for z in (-0.02, tall + 0.04)),
-        *roof(rng, long, wide + 0.2, tall + 0.05),
-    ]
+    pitch, n = long / count, segments(rng)
+    r = min(pitch * 0.38, tall * 0.75)
+    hole = hull(rod(r, 3, axis="y", sides=n), box((2 * r, 3, 0.1), (0, 0, -1)))
+    level = max(tall - r - 0.12, 0.05)
+    holes = [move(hole, (i + 0.5 - count / 2) * pitch, 0, level) for i in range(count)]
+    parts = [cut(box((long, wide, tall), (0, 0, tall / 2)), holes)]
+    if chance(rng, 0.6):
+        y = wide / 2 - 0.04
+        parts += [box((long, 0.08, 0.2), (0, s * y, tall + 0.08)) for s in (-1, 1)]
+    return parts
+
+
+def colonnade(rng: Rng, long: float, wide: float) -> Parts:
+    """Two rows of columns between a floor and a roof."""
+    tall, count, n, r = (
+        rng.uniform(0.5, 1),
+        int(rng.integers(2, 6)),
+        segments(rng),
+        thin(rng, 0.05, 0.12),
+    )
+    parts = []
+    for x in np.linspace(-0.45, 0.45, count) * long:
+        for y in (-wide / 2, wide / 2):
+            parts.append(rod(r, tall, (x, y, tall / 2), top=r * 0.85, sides=n))
+            parts += [box((3 * r, 3 * r, 0.1), (x, y, z)) for z in (0.04, tall - 0.04)]
+    slabs = [box((long + 0.3, wide + 0.4, 0.12), (0, 0, z)) for z in (-0.02, tall + 0.04)]
+    return [*parts, *slabs, *roof(rng, long, wide + 0.2, tall + 0.05)]

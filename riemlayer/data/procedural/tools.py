@@ -46,76 +46,84 @@ def grip(rng: Rng, length: float) -> Manifold:
 
 
 def tool(rng: Rng) -> Parts:
-    """A hammer, axe, wrench, screwdriver, brush, spatula, saw or mallet on a handle."""
+    """A hammer, axe, wrench, screwdriver, brush, pan, saw or drill on a handle."""
     length = rng.uniform(1.0, 2.0)
-    parts = [grip(rng, length)]
-    style = pick(rng, "hammer", "claw", "axe", "wrench", "driver", "brush", "pan", "blade", "drill")
-    n = segments(rng)
-    if style in ("hammer", "claw"):
-        r, wide = rng.uniform(0.12, 0.25), rng.uniform(0.5, 0.9)
-        face = rod(r, wide * 0.5, (0, 0, wide * 0.25), top=r * rng.uniform(0.8, 1.2), sides=n)
-        parts.append(face if style == "claw" else rod(r, wide, sides=n))
-        if style == "claw":
-            for s in (-1, 1):
-                path = smooth_curve(
-                    [(0, s * 0.05, 0), (0, s * 0.09, -0.3), (-0.2, s * 0.14, -0.55)], 20
-                )
-                parts.append(tube(path, np.linspace(0.1, 0.045, 20), 12))
-        else:
-            parts.append(any_box(rng, (r * 1.6, r * 1.6, wide * 0.4)))
-    elif style == "axe":
-        edge = rng.uniform(0.3, 0.6)
-        parts.append(
-            hull(box((0.25, 0.2, 0.2)), box((edge, 0.05, 0.02), (0, 0, rng.uniform(0.4, 0.7))))
-        )
-    elif style == "wrench":
-        parts += spanner(rng, n, length)
-    elif style == "driver":
-        r, long = rng.uniform(0.05, 0.08), rng.uniform(0.5, 1.3)
-        parts += [rod(r, long, (long / 2 - 0.05, 0, 0), "x", sides=n)]
-        parts += [box((0.2, 0.05, 3 * r), (long, 0, 0)), rod(0.14, 0.1, axis="x", sides=n)]
-    elif style == "brush":
-        parts.append(any_box(rng, (0.5, 0.12, 0.3), (0.2, 0, 0)))
-        pins = np.stack(
-            np.meshgrid(np.linspace(0, 0.4, int(rng.integers(3, 7))), [-0.1, 0, 0.1]), -1
-        )
-        parts += [rod(0.035, 0.35, (x, 0.15, z), "y", sides=8) for x, z in pins.reshape(-1, 2)]
-    elif style == "pan":
-        r, tall, wall = rng.uniform(0.35, 0.6), rng.uniform(0.08, 0.3), thin(rng, 0.022, 0.07)
-        pan = rod(r * 0.85, tall, top=r, sides=n) - rod(
-            r * 0.85 - wall, tall, (0, 0, wall), top=r - wall, sides=n
-        )
-        parts.append(move(pan, r * 0.85, 0, 0))
-    elif style == "blade":
-        long, deep = rng.uniform(0.7, 1.5), rng.uniform(0.15, 0.45)
-        outline = np.array(
-            [
-                (-0.1, -deep / 2),
-                (long * 0.9, -deep / 2),
-                (long, rng.uniform(-0.4, 0.4) * deep),
-                (long * 0.8, deep / 2),
-                (-0.1, deep / 2),
-            ]
-        )
-        blade = extrude(outline, thin(rng, 0.025, 0.07)).rotate((90, 0, 0))
-        if chance(rng, 0.3):
-            teeth = np.linspace(0.1, 0.8, 9) * long
-            blade = cut(
-                blade, [box((0.06, 1, 0.12), (x, 0, -deep / 2)).rotate((0, 0, 0)) for x in teeth]
-            )
-        parts.append(blade)
-    else:
-        parts = [part.rotate((0, -rng.uniform(60, 100), 0)) for part in parts]
-        long = rng.uniform(0.6, 1.0)
-        parts += [
-            rod(0.2, long, (0.1, 0, 0.05), "x", sides=n),
-            rod(0.12, 0.3, (long / 2 + 0.2, 0, 0.05), "x", top=0.08, sides=n),
-        ]
-        parts += [
-            rod(0.04, 0.4, (long / 2 + 0.4, 0, 0.05), "x", sides=10),
-            any_box(rng, (0.5, 0.3, 0.2), (-0.25, 0, -0.95 * length)),
-        ]
+    handle = grip(rng, length)
+    head = pick(rng, hammer, claw, axe, spanner, driver, brush, pan, blade, drill)
+    if head is drill:
+        handle = handle.rotate((0, -rng.uniform(60, 100), 0))
+    return [handle, *head(rng, segments(rng), length)]
+
+
+def hammer(rng: Rng, n: int, length: float) -> Parts:
+    """A cylinder across the handle, with a block or a wedge."""
+    r, wide = rng.uniform(0.12, 0.25), rng.uniform(0.5, 0.9)
+    parts = [rod(r, wide, sides=n), any_box(rng, (r * 1.6, r * 1.6, wide * 0.4))]
+    if chance(rng, 0.4):
+        parts.append(hull(rod(r, 0.1, sides=n), box((0.06, 2 * r, 0.02), (0, 0, wide * 0.8))))
     return parts
+
+
+def claw(rng: Rng, n: int, length: float) -> Parts:
+    """A hammer's face and two bent prongs."""
+    r, wide = rng.uniform(0.12, 0.25), rng.uniform(0.5, 0.9)
+    parts = [rod(r, wide * 0.5, (0, 0, wide * 0.25), top=r * rng.uniform(0.8, 1.2), sides=n)]
+    for s in (-1, 1):
+        path = [(0, s * 0.05, 0), (0, s * 0.09, -0.3), (-0.2, s * 0.14, -0.55)]
+        parts.append(tube(smooth_curve(path, 20), np.linspace(0.1, 0.045, 20), 12))
+    return parts
+
+
+def axe(rng: Rng, n: int, length: float) -> Parts:
+    """A wedge with a straight edge."""
+    edge = box((rng.uniform(0.3, 0.6), 0.05, 0.02), (0, 0, rng.uniform(0.4, 0.7)))
+    return [hull(box((0.25, 0.2, 0.2)), edge)]
+
+
+def driver(rng: Rng, n: int, length: float) -> Parts:
+    """A round shaft with a flat tip and a collar."""
+    r, long = rng.uniform(0.05, 0.08), rng.uniform(0.5, 1.3)
+    tip = box((0.2, 0.05, 3 * r), (long, 0, 0))
+    return [
+        rod(r, long, (long / 2 - 0.05, 0, 0), "x", sides=n),
+        tip,
+        rod(0.14, 0.1, axis="x", sides=n),
+    ]
+
+
+def brush(rng: Rng, n: int, length: float) -> Parts:
+    """Rows of bristles on a block."""
+    rows = np.linspace(0, 0.4, int(rng.integers(3, 7)))
+    pins = [rod(0.035, 0.35, (x, 0.15, z), "y", sides=8) for x in rows for z in (-0.1, 0, 0.1)]
+    return [any_box(rng, (0.5, 0.12, 0.3), (0.2, 0, 0)), *pins]
+
+
+def pan(rng: Rng, n: int, length: float) -> Parts:
+    """A shallow vessel with thin walls."""
+    r, tall, wall = rng.uniform(0.35, 0.6), rng.uniform(0.08, 0.3), thin(rng, 0.022, 0.07)
+    hollow = rod(r * 0.85 - wall, tall, (0, 0, wall), top=r - wall, sides=n)
+    return [move(rod(r * 0.85, tall, top=r, sides=n) - hollow, r * 0.85)]
+
+
+def blade(rng: Rng, n: int, length: float) -> Parts:
+    """A knife, trowel or saw: a thin pointed plate, with or without teeth."""
+    long, deep = rng.uniform(0.7, 1.5), rng.uniform(0.15, 0.45)
+    x = np.array([-0.1, 0.9 * long, long, 0.8 * long, -0.1])
+    y = np.array([-0.5, -0.5, rng.uniform(-0.4, 0.4), 0.5, 0.5]) * deep
+    plate = extrude(np.c_[x, y], thin(rng, 0.025, 0.07)).rotate((90, 0, 0))
+    teeth = np.linspace(0.1, 0.8, 9) * long if chance(rng, 0.3) else []
+    return [cut(plate, [box((0.06, 1, 0.12), (u, 0, -deep / 2)) for u in teeth])]
+
+
+def drill(rng: Rng, n: int, length: float) -> Parts:
+    """A motor housing across the top of the handle, a chuck, a bit and a battery."""
+    long = rng.uniform(0.6, 1.0)
+    return [
+        rod(0.2, long, (0.1, 0, 0.05), "x", sides=n),
+        rod(0.12, 0.3, (long / 2 + 0.2, 0, 0.05), "x", top=0.08, sides=n),
+        rod(0.04, 0.4, (long / 2 + 0.4, 0, 0.05), "x", sides=10),
+        any_box(rng, (0.5, 0.3, 0.2), (-0.25, 0, -0.95 * length)),
+    ]
 
 
 def spanner(rng: Rng, n: int, length: float) -> Parts:

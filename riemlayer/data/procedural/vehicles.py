@@ -21,7 +21,6 @@ from riemlayer.data.procedural.solids import (
     soft_box,
     strut,
     tube,
-    union,
 )
 
 Parts = list[Manifold]
@@ -89,67 +88,58 @@ def car(rng: Rng) -> Parts:
     radius, body = rng.uniform(0.17, 0.34), rng.uniform(0.22, 0.5)
     base = radius * rng.uniform(0.6, 1.1)
     hood = any_box(rng, (length, width, body), (0, 0, base + body / 2), rng.uniform(0.04, 0.15))
-    parts = []
     style = pick(rng, "car", "car", "van", "truck", "pickup", "open")
     top = base + body - 0.02
-    if style in ("car", "van"):
-        share = rng.uniform(0.45, 0.65) if style == "car" else rng.uniform(0.75, 0.98)
-        roof = cabin(
-            rng,
-            length * share,
-            width * 0.95,
-            rng.uniform(0.25, 0.45) * (2 if style == "van" else 1),
-        )
-        parts.append(move(windows(rng, roof), rng.uniform(-0.15, 0.1) * length, 0, top))
-    elif style == "truck":
-        cab = any_box(rng, (length * 0.25, width, rng.uniform(0.4, 0.8)), edge=0.08)
-        parts.append(move(cab, length * 0.36, 0, top + 0.2))
-        size = (
-            length * rng.uniform(0.5, 0.68),
-            width * rng.uniform(0.9, 1.15),
-            rng.uniform(0.3, 1.0),
-        )
-        load = (
-            rod(size[1] / 2, size[0], axis="x", sides=segments(rng))
-            if chance(rng, 0.3)
-            else any_box(rng, size)
-        )
-        parts.append(move(load, -length * 0.14, 0, top + size[2] / 2))
-    elif style == "pickup":
-        parts.append(move(cabin(rng, length * 0.35, width * 0.95, 0.4), length * 0.1, 0, top))
+    if style == "pickup":
         hood -= box((length * 0.35, width * 0.8, body), (-length * 0.28, 0, base + body * 0.8))
-    else:
+    elif style == "open":
         hood -= box((length * 0.4, width * 0.75, body), (-0.05 * length, 0, base + body * 0.75))
-        parts += [
-            soft_box((0.15, width * 0.3, 0.4), (-0.15 * length, s * 0.2, top), 0.06)
-            for s in (-1, 1)
-        ]
     axles = np.array([-0.32, 0.32]) * length
     if style == "truck" and chance(rng, 0.5):
         axles = np.array([-0.36, -0.2, 0.34]) * length
     if chance(rng, 0.5):
-        arches = [
-            rod(radius * 1.2, width * 0.35, (x, s * width / 2, radius), "y")
-            for x in axles
-            for s in (-1, 1)
-        ]
-        hood = cut(hood, arches)
-    parts = [hood, *parts, *wheels(rng, axles, width * rng.uniform(0.8, 1.0), radius)]
+        arch = rod(radius * 1.2, width * 0.35, axis="y")
+        hood = cut(hood, [move(arch, x, s * width / 2, radius) for x in axles for s in (-1, 1)])
+    upper = [move(part, 0, 0, top) for part in coachwork(rng, style, length, width)]
+    trim = [move(part, 0, 0, top) for part in trimmings(rng, length, width, body)]
+    return [hood, *upper, *trim, *wheels(rng, axles, width * rng.uniform(0.8, 1.0), radius)]
+
+
+def coachwork(rng: Rng, style: str, length: float, width: float) -> Parts:
+    """What stands on a car's body, z = 0: a cabin, a load, seats."""
+    if style in ("car", "van"):
+        van = style == "van"
+        share, tall = rng.uniform(0.75, 0.98) if van else rng.uniform(0.45, 0.65), 0.35 + 0.35 * van
+        roof = cabin(rng, length * share, width * 0.95, tall * rng.uniform(0.7, 1.3))
+        return [move(windows(rng, roof), rng.uniform(-0.15, 0.1) * length)]
+    if style == "pickup":
+        return [move(cabin(rng, length * 0.35, width * 0.95, 0.4), length * 0.1)]
+    if style == "open":
+        seat = (0.15, width * 0.3, 0.4)
+        return [soft_box(seat, (-0.15 * length, s * 0.2, 0), 0.06) for s in (-1, 1)]
+    cab = any_box(rng, (length * 0.25, width, rng.uniform(0.4, 0.8)), edge=0.08)
+    size = rng.uniform((0.5, 0.9, 0.3), (0.68, 1.15, 1.0)) * (length, width, 1)
+    tank = rod(size[1] / 2, size[0], axis="x", sides=segments(rng))
+    load = tank if chance(rng, 0.3) else any_box(rng, size)
+    return [move(cab, length * 0.36, 0, 0.2), move(load, -length * 0.14, 0, size[2] / 2)]
+
+
+def trimmings(rng: Rng, length: float, width: float, body: float) -> Parts:
+    """Lamps, mirrors, bumpers and a spoiler; z = 0 is the top of the car's body."""
+    parts: Parts = []
     for s in (-1, 1):
         if chance(rng, 0.6):
-            parts.append(
-                rod(0.08, 0.08, (length / 2, s * width * 0.33, base + body * 0.6), "x", sides=16)
-            )
+            at = (length / 2, s * width * 0.33, -body * 0.4)
+            parts.append(rod(0.08, 0.08, at, "x", sides=16))
         if chance(rng, 0.4):
-            parts.append(
-                any_box(rng, (0.06, 0.16, 0.1), (length * 0.18, s * (width / 2 + 0.05), top + 0.02))
-            )
-    for x in (-1, 1):
+            at = (length * 0.18, s * (width / 2 + 0.05), 0.02)
+            parts.append(any_box(rng, (0.06, 0.16, 0.1), at))
         if chance(rng, 0.6):
-            parts.append(any_box(rng, (0.12, width * 1.02, 0.1), (x * length / 2, 0, base + 0.06)))
+            at = (s * length / 2, 0, 0.06 - body)
+            parts.append(any_box(rng, (0.12, width * 1.02, 0.1), at))
     if chance(rng, 0.2):
-        parts.append(box((0.25, width * 1.1, 0.05), (-length / 2 + 0.1, 0, top + 0.2)))
-        parts.append(box((0.08, width * 0.7, 0.25), (-length / 2 + 0.1, 0, top + 0.08)))
+        parts.append(box((0.25, width * 1.1, 0.05), (-length / 2 + 0.1, 0, 0.2)))
+        parts.append(box((0.08, width * 0.7, 0.25), (-length / 2 + 0.1, 0, 0.08)))
     return parts
 
 
@@ -208,54 +198,44 @@ def train(rng: Rng) -> Parts:
 
 
 def two_wheeler(rng: Rng) -> Parts:
-    """A bicycle, motorcycle, scooter or wheelchair-like frame with spoked or solid wheels."""
-    r, base, n = rng.uniform(0.3, 0.5), rng.uniform(1.0, 1.5), int(rng.integers(20, 44))
+    """A bicycle, motorcycle or scooter with spoked or solid wheels."""
+    r, base, bar = rng.uniform(0.3, 0.5), rng.uniform(1.0, 1.5), rng.uniform(0.035, 0.06)
     heavy = chance(rng, 0.45)
-    thick = rng.uniform(0.09, 0.14) if heavy else rng.uniform(0.035, 0.05)
-    parts, spokes = [], int(rng.integers(3, 9))
-    for x in (-base / 2, base / 2):
-        t = np.arange(n) * 2 * np.pi / n
-        rim = np.stack([x + r * np.cos(t), 0 * t, r + r * np.sin(t)], 1)
-        parts += [tube(rim, thick, 10, closed=True), rod(0.09, 0.2, (x, 0, r), "y", sides=16)]
-        if heavy and chance(rng, 0.6):
-            parts.append(rod(r * 0.95, 0.06, (x, 0, r), "y"))
-        else:
-            angle = np.arange(spokes) * 2 * np.pi / spokes + rng.uniform(0, 3)
-            ends = [(x + r * np.cos(a), 0, r + r * np.sin(a)) for a in angle]
-            parts += [strut((x, 0, r), end, 0.03, sides=8) for end in ends]
-    bar = rng.uniform(0.035, 0.06)
-    crank, saddle = (
-        np.array([-0.1, 0, r * 0.9]),
-        np.array([-0.3 * base, 0, 2 * r + rng.uniform(0, 0.4)]),
-    )
+    parts = [move(part, x) for x in (-base / 2, base / 2) for part in spoked(rng, r, heavy)]
+    crank, saddle = np.array([-0.1, 0, r * 0.9]), np.array([-0.3 * base, 0, 2 * r])
+    saddle[2] += rng.uniform(0, 0.4)
     steer = np.array([0.35 * base, 0, 2 * r + rng.uniform(0.1, 0.4)])
     rear, front = np.array([-base / 2, 0, r]), np.array([base / 2, 0, r])
-    lines = [
-        (crank, saddle),
-        (crank, steer * (1, 1, 0.85)),
-        (saddle, steer * (1, 1, 0.9)),
-        (crank, rear),
-        (saddle, rear),
-        (steer, front),
+    high, low = steer * (1, 1, 0.9), steer * (1, 1, 0.85)
+    parts += [
+        strut(a, b, bar * 1.1, sides=10) for a, b in ((crank, saddle), (crank, low), (saddle, high))
     ]
-    for a, b in lines:
-        if a is rear or b is rear or b is front:
-            gap = np.array([0, 0.13, 0])
-            parts += [strut(a + s * gap * 0.6, b + s * gap, bar, sides=10) for s in (-1, 1)]
-            parts.append(strut(a - gap * 0.6, a + gap * 0.6, bar * 1.1, sides=10))
-        else:
-            parts.append(strut(a, b, bar * 1.1, sides=10))
+    gap = np.array([0, 0.13, 0])
+    for a, b in ((rear, crank), (rear, saddle), (front, steer)):
+        parts += [strut(a + s * gap, b + s * gap * 0.6, bar, sides=10) for s in (-1, 1)]
+        parts += [strut(x - gap, x + gap, bar * 1.1, sides=10) for x in (a, b)]
     parts.append(soft_box((0.35, 0.2, 0.1), np.add(saddle, (0, 0, 0.04)), 0.05))
-    grip = rng.uniform(0.2, 0.4)
-    bars = [
-        np.add(steer, (0.1 - 0.2 * abs(s) ** 2, s * grip, 0.05 + 0.1 * abs(s)))
-        for s in np.linspace(-1, 1, 9)
-    ]
-    parts.append(tube(smooth_curve(bars, 24), bar, 10))
-    parts.append(strut(steer, bars[4], bar))
+    s, grip = np.linspace(-1, 1, 9), rng.uniform(0.2, 0.4)
+    bars = steer + np.c_[0.1 - 0.2 * s**2, s * grip, 0.05 + 0.1 * abs(s)]
+    parts += [tube(smooth_curve(bars, 24), bar, 10), strut(steer, bars[4], bar)]
     if heavy:
         parts.append(any_box(rng, (0.45 * base, 0.28, 0.3), (0, 0, r * 1.2), 0.08))
         parts.append(ball((0.3, 0.17, 0.16), (0.08, 0, 2 * r)))
         if chance(rng, 0.6):
-            parts.append(union([strut((-0.5 * base, 0.17, r), (0.1, 0.17, r * 0.8), 0.07)]))
+            parts.append(strut((-0.5 * base, 0.17, r), (0.1, 0.17, r * 0.8), 0.07))
     return parts
+
+
+def spoked(rng: Rng, radius: float, heavy: bool) -> Parts:
+    """A wheel in the plane y = 0 that stands on z = 0: a tyre, a hub, spokes or a disc."""
+    n, count = int(rng.integers(20, 44)), int(rng.integers(3, 9))
+    thick = rng.uniform(0.09, 0.14) if heavy else rng.uniform(0.035, 0.05)
+    t = np.arange(n) * 2 * np.pi / n
+    rim = np.stack([radius * np.cos(t), 0 * t, radius + radius * np.sin(t)], 1)
+    centre = (0, 0, radius)
+    parts = [tube(rim, thick, 10, closed=True), rod(0.09, 0.2, centre, "y", sides=16)]
+    if heavy and chance(rng, 0.6):
+        return [*parts, rod(radius * 0.95, 0.06, centre, "y")]
+    angle = np.arange(count) * 2 * np.pi / count + rng.uniform(0, 3)
+    ends = [(radius * np.cos(a), 0, radius + radius * np.sin(a)) for a in angle]
+    return parts + [strut(centre, end, 0.03, sides=8) for end in ends]
