@@ -15,6 +15,11 @@ from riemlayer.heads.triplane import TriplaneHypernetwork, sample_triplane
 from riemlayer.numerics import outer6, safe_norm
 from riemlayer.octree import Level, interpolate, interpolate_or_zero
 
+TRAINED = 1.06
+"""Longest vectors of the training data, in radii."""
+STEEPNESS = 50.0
+"""Fall of the validity's logit a radius beyond that."""
+
 
 class Embedding(NamedTuple):
     """What the heads read: the embedding field of a packed batch of clouds, and its planes."""
@@ -79,8 +84,11 @@ class MapHead(nn.Module):
         features = sample_triplane(self.planes(z), x)
         return self.decoder(torch.cat((features.to(x.dtype), x, *told), -1))
 
-    def validity(self, hidden: Tensor) -> Tensor:
-        return self.valid(hidden.detach()).squeeze(-1).to(z_dtype(hidden))
+    def validity(self, hidden: Tensor, v: Tensor) -> Tensor:
+        """Logit (S, K), lowered where the tangent vector `v` (S, K, 3) is too long."""
+        logit = self.valid(hidden.detach()).squeeze(-1).to(z_dtype(hidden))
+        length = safe_norm(v.detach()).squeeze(-1) / self.radius
+        return logit - STEEPNESS * (length - TRAINED).clamp_min(0)
 
 
 def z_dtype(x: Tensor) -> torch.dtype:
@@ -104,19 +112,19 @@ class ExpHead(MapHead):
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         if not self.config.anchored:
             hidden, vector = self.decode(z, v)
-            return MapOutput(vector, self.validity(hidden))
+            return MapOutput(vector, self.validity(hidden, v))
         v = torch.cat((torch.zeros_like(v[:, :1]), v), 1)  # (S, 1 + K, 3)
         moved, turned, normals = self.prior(field, p, v, shape)
         landed = read_narrow(field, p[:, None] + moved, shape)
         told = ((moved - v) / self.radius, turned / self.radius, normals, landed)
         hidden, f = self.decode(z, v, *told)
         vector = moved + safe_norm(v) * (f - f[:, :1])
-        return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:]))
+        return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:], v[:, 1:]))
 
     def prior(
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Where the prior ends (S, K, 3), v carried there, and the normals at both ends (S, K, 12)."""
+        """Where the prior ends (S, K, 3), v carried there, the normals at both ends (S, K, 12)."""
         start = p[:, None].expand_as(v).reshape(-1, 3)
         index = shape[:, None].expand(v.shape[:2]).flatten()
         here = outer6(field.planes.normal(p, shape))[:, None].expand(-1, v.shape[1], -1)
@@ -131,9 +139,9 @@ class ExpHead(MapHead):
 class LogHead(MapHead):
     """Log_p(q) = flat(x) + |x| (h(x) - h(0)) with x = q - p (ours).
 
-    The prior lays the chord flat on the tangent plane of the cloud at p; h sees the triplane of z(p)
-    at x, the prior, the normal at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and
-    d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
+    The prior lays the chord flat on the tangent plane of the cloud at p; h sees the triplane of
+    z(p) at x, the prior, the normal at p, and the narrow embedding at q and half-way. Log_p(p) = 0
+    and d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
@@ -145,15 +153,15 @@ class LogHead(MapHead):
         x = q - p[:, None]
         if not self.config.anchored:
             hidden, vector = self.decode(z, x)
-            return MapOutput(vector, self.validity(hidden))
+            return MapOutput(vector, self.validity(hidden, vector))
         x = torch.cat((torch.zeros_like(x[:, :1]), x), 1)  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
         here = outer6(normal)[:, None].expand(-1, x.shape[1], -1)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         hidden, h = self.decode(z, x, (flat - x) / self.radius, here, *passed)
-        vector = flat + safe_norm(x) * (h - h[:, :1])
-        return MapOutput(vector[:, 1:], self.validity(hidden[:, 1:]))
+        vector = (flat + safe_norm(x) * (h - h[:, :1]))[:, 1:]
+        return MapOutput(vector, self.validity(hidden[:, 1:], vector))
 
 
 def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:
