@@ -24,8 +24,9 @@ def fibonacci_sphere(n: int = 400, dtype: torch.dtype = torch.float64) -> Tensor
 
 
 def lumpy(n: int = 300, dtype: torch.dtype = torch.float64) -> Tensor:
-    """(n, 3) irregular cloud around a sphere, of no symmetry, in the cube."""
-    points = F.normalize(torch.randn(n, 3, dtype=dtype), dim=-1)
+    """(n, 3) irregular cloud around a sphere, of no symmetry, in the cube; another for each n."""
+    generator = torch.Generator().manual_seed(n)
+    points = F.normalize(torch.randn(n, 3, dtype=dtype, generator=generator), dim=-1)
     swell = 0.8 + 0.1 * (3 * points + torch.tensor([0.3, 1.1, 2.0], dtype=dtype)).sin()
     return points * swell
 

@@ -1,0 +1,106 @@
+"""The two heads in the cube: anchored by construction, or the paper's plain decoders."""
+
+import pytest
+import torch
+from references import encoded, lumpy, shaken
+
+from riemlayer import ExpLogField
+from riemlayer.config import FieldConfig, HeadConfig
+from riemlayer.heads import MapOutput
+from riemlayer.heads.maps import read_narrow
+
+HEADS = {
+    "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=4),
+    "straight": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=0),
+    "told nothing": HeadConfig(resolution=8, channels=4, hidden=32, narrow=0, walk_steps=0),
+}
+
+
+def field_with(head: HeadConfig) -> ExpLogField:
+    field = ExpLogField(FieldConfig(FieldConfig.tiny().backbone, head)).double()
+    with torch.no_grad():
+        for parameter in field.parameters():
+            parameter.add_(torch.randn_like(parameter), alpha=0.2)
+    return field
+
+
+def answers(field: ExpLogField, which: str, x: torch.Tensor) -> MapOutput:
+    points = lumpy(300)
+    with torch.no_grad():
+        embedding = field.embed(points, torch.zeros(300, dtype=torch.long))
+        head = getattr(field, f"{which}_head")
+        base = points[: len(x)]
+        query = x if which == "exp" else base[:, None] + x
+        return head(embedding, base, query, torch.zeros(len(x), dtype=torch.long))
+
+
+@pytest.mark.parametrize("which", ["exp", "log"])
+@pytest.mark.parametrize("name", HEADS)
+def test_anchored_heads_move_by_x_to_first_order(name, which):
+    """|answer - x| falls with |x|^2 or faster, whatever the weights."""
+    field = field_with(HEADS[name])
+    direction = torch.nn.functional.normalize(torch.randn(5, 20, 3).double(), dim=-1)
+    departure = [
+        float((answers(field, which, t * direction).vector / t - direction).norm(dim=-1).max())
+        for t in (1e-2, 1e-3, 1e-4)
+    ]
+    assert departure[1] < departure[0] / 3 and departure[2] < departure[1] / 3, departure
+    assert float(answers(field, which, 0 * direction).vector.abs().max()) < 1e-15
+    far = answers(field, which, 0.4 * direction).vector - 0.4 * direction
+    assert far.norm(dim=-1).mean() > 0.01  # the weights do have a say
+
+
+def test_the_straight_and_untold_configuration_is_possible():
+    out = answers(field_with(HEADS["told nothing"]), "exp", torch.randn(3, 4, 3).double() * 0.1)
+    assert out.vector.shape == (3, 4, 3) and out.validity.shape == (3, 4)
+
+
+@pytest.mark.parametrize("which", ["exp", "log"])
+def test_the_papers_heads_are_plain_decoders(which):
+    """Not anchored: the answer at x = 0 is what the decoder says."""
+    field = shaken("paper", strength=0.3)
+    out = answers(field, which, torch.zeros(4, 2, 3).double())
+    assert (out.vector[:, 0].norm(dim=-1) > 1e-3).all()
+    torch.testing.assert_close(out.vector[:, 0], out.vector[:, 1])
+
+
+def test_queries_of_a_source_do_not_see_each_other():
+    field = field_with(HEADS["walked"])
+    x = 0.3 * torch.randn(4, 10, 3).double()
+    for which in ("exp", "log"):
+        whole = answers(field, which, x)
+        part = answers(field, which, x[:, 3:4])
+        torch.testing.assert_close(part.vector, whole.vector[:, 3:4], rtol=0, atol=1e-12)
+        torch.testing.assert_close(part.validity, whole.validity[:, 3:4], rtol=0, atol=1e-12)
+
+
+def test_validity_does_not_disturb_the_maps():
+    field = field_with(HEADS["walked"])
+    points, zero = lumpy(300), torch.zeros(300, dtype=torch.long)
+    for head in (field.exp_head, field.log_head):
+        field.zero_grad()
+        out = head(field.embed(points, zero), points[:4], points[:4, None] * 0.9, zero[:4])
+        out.validity.sum().backward()
+        touched = {
+            name for name, x in field.named_parameters() if x.grad is not None and x.grad.any()
+        }
+        assert touched == {name for name in touched if ".valid." in name} and touched
+
+
+@pytest.mark.parametrize("which", ["exp", "log"])
+def test_validity_is_low_beyond_the_trained_radius(which):
+    """Whatever the weights say: vectors of 1.5 radii have a validity under one in a thousand."""
+    field = field_with(HEADS["walked"])
+    direction = torch.nn.functional.normalize(torch.randn(5, 20, 3).double(), dim=-1)
+    out = answers(field, which, 1.5 * field.config.radius * direction)
+    length = out.vector.norm(dim=-1) if which == "log" else torch.tensor(0.75)
+    beyond = (length > 0.74).expand(out.validity.shape)
+    assert beyond.any() and (out.validity.sigmoid()[beyond] < 1e-3).all()
+
+
+def test_narrow_embedding_is_zero_off_the_support():
+    embedding = encoded().embedding
+    far = torch.tensor([[[0.0, 0, 0], [1.05, 1.05, 1.05]]]).double()
+    assert (read_narrow(embedding, far, torch.zeros(1, dtype=torch.long)) == 0).all()
+    none = embedding._replace(narrow=None)
+    assert read_narrow(none, far, torch.zeros(1, dtype=torch.long)).shape == (1, 2, 0)
