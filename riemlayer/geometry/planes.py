@@ -56,6 +56,11 @@ class PlaneLevel(NamedTuple):
         sums = (*(sign * n for n in normal), distance, weight)
         return torch.stack([y.sum(-1) for y in sums], -1)
 
+    def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
+        """Normal (Q, 3) of the nearest of the eight nodes around `x`; 0 where there is none."""
+        node, weight = corners(self.level, x, batch)
+        return self.plane[3:, node.gather(-1, weight.argmax(-1, keepdim=True)).squeeze(-1)].T
+
 
 class LocalPlanes(NamedTuple):
     """Planes at two adjacent levels: fine ones, and coarse ones where fine nodes are missing."""
@@ -82,10 +87,19 @@ class LocalPlanes(NamedTuple):
         return normalise(normal), distance
 
     def normal(self, p: Tensor, batch: Tensor) -> Tensor:
-        """Unit normals (Q, 3) at `p`; of either sign."""
-        up = torch.zeros_like(p)
-        up[:, 2] = 1
-        return self.at(p, batch, up)[0]
+        """Unit normals (Q, 3) at `p`, with the sign of the nearest node's; the z axis far away.
+
+        A fixed direction would not do: around a wall that it lies in, signs would be arbitrary and
+        the normals of neighbouring nodes cancel.
+        """
+        towards = self.fine.nearest(p, batch)
+        lost = (towards == 0).all(-1).nonzero().squeeze(-1)
+        if len(lost):
+            coarse = self.coarse.nearest(p[lost], batch[lost])
+            z_axis = coarse.new_tensor([0.0, 0.0, 1.0])
+            coarse = torch.where((coarse == 0).all(-1, keepdim=True), z_axis, coarse)
+            towards = towards.index_copy(0, lost, coarse)
+        return self.at(p, batch, towards)[0]
 
     def map(self, change: Callable[[Tensor], Tensor]) -> LocalPlanes:
         """The same with `change`, such as a move to another device, applied to every tensor."""
