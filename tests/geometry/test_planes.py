@@ -63,6 +63,16 @@ def test_normals_take_the_sign_that_is_asked_for():
     torch.testing.assert_close(other, -gap)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_normals_of_noisy_walls_do_not_cancel(axis):
+    """Stored signs are arbitrary: a fixed direction that sorts them has walls that it lies in."""
+    points = torch.rand(10_000, 3, dtype=torch.float64) - 0.5
+    points[:, axis] = 0.013 + 1e-3 * torch.randn(10_000, dtype=torch.float64)
+    x = points[:1000]
+    normal = planes_of(points, 6).normal(x, torch.zeros(1000, dtype=torch.long))
+    assert (normal[:, axis].abs() > 0.999).all()
+
+
 def test_stored_signs_have_no_meaning():
     planes, x = planes_of(fibonacci_sphere(2000)), fibonacci_sphere(100)
     fine = planes.fine
@@ -72,6 +82,8 @@ def test_stored_signs_have_no_meaning():
     )
     for a, b in zip(at(planes, x, x), at(flipped, x, x), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=1e-12)
+    n, m = (y.normal(x, torch.zeros(100, dtype=torch.long)) for y in (planes, flipped))
+    torch.testing.assert_close((n * m).sum(-1).abs(), torch.ones(100).double())
     points = fibonacci_sphere(2000)
     leaf = build_octree(points, torch.zeros(2000, dtype=torch.long), 5).leaf
     features = planes.point_features(points, leaf), flipped.point_features(points, leaf)
@@ -80,9 +92,12 @@ def test_stored_signs_have_no_meaning():
 
 def test_far_from_every_point_there_is_no_plane():
     planes = planes_of(0.3 * fibonacci_sphere(500))
-    normal, gap = at(planes, torch.tensor([[0.9, 0.9, 0.9], [0.0, 0, 0]]).double(), UP)
-    torch.testing.assert_close(normal, UP.expand(2, 3))
+    far, shape = torch.tensor([[0.9, 0.9, 0.9], [0.0, 0, 0]]).double(), torch.tensor([0, 0])
+    towards = torch.tensor([0.6, 0.8, 0.0]).double()
+    normal, gap = at(planes, far, towards)
+    torch.testing.assert_close(normal, towards.expand(2, 3))
     assert (gap == 0).all()
+    assert torch.equal(planes.normal(far, shape), UP.expand(2, 3))
 
 
 def test_sheets_three_cells_apart_do_not_mix():
