@@ -1,0 +1,1 @@
+"""Shapes to learn from: closed-form, procedural and real ones, traced, filtered and augmented."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 
 def divergence(q: ArrayLike, v: ArrayLike, k: int = 5) -> NDArray[np.float64]:
@@ -36,7 +36,7 @@ def divergence(q: ArrayLike, v: ArrayLike, k: int = 5) -> NDArray[np.float64]:
         raise ValueError(f"q must hold more than k = {k} points a source, got {count}")
     delta = np.empty(q.shape[:-1])
     for index in np.ndindex(q.shape[:-2]):
-        near = cKDTree(q[index]).query(q[index], k + 1)[1]  # (K, k + 1), itself included: adds 0
+        near = KDTree(q[index]).query(q[index], k + 1)[1]  # (K, k + 1), itself included: adds 0
         delta[index] = np.linalg.norm(v[index][:, None] - v[index][near], axis=-1).max(-1)
     return delta
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from riemlayer.data.cut_locus import divergence
 from riemlayer.data.manifold import directed_edges, vertex_areas, vertex_normals
@@ -105,7 +105,7 @@ def sample_tangent_vectors(normal: Array, K: int, radius: float, rng: np.random.
     pair = flat + JITTER * rng.standard_normal(flat.shape)
     bound = LONGEST / RADIUS * radius
     pair *= np.minimum(1, bound / np.linalg.norm(pair, axis=-1, keepdims=True))
-    return np.concatenate([flat, pair], axis=-2) @ frame
+    return np.matmul(np.concatenate([flat, pair], axis=-2), frame).astype(float)
 
 
 def shortest_mask(
@@ -120,7 +120,7 @@ def shortest_mask(
     from potpourri3d import MeshHeatMethodDistanceSolver
 
     solver = MeshHeatMethodDistanceSolver(vertices, faces)
-    gap, near = cKDTree(vertices).query(q, 3)  # (S, K, 3)
+    gap, near = KDTree(vertices).query(q, 3)  # (S, K, 3)
     weight = 1 / (gap + 1e-9)
     weight /= weight.sum(-1, keepdims=True)
     distance = np.stack([solver.compute_distance(int(source)) for source in sources])  # (S, n)

@@ -128,4 +128,4 @@ def vertex_areas(vertices: Vertices, faces: Faces) -> NDArray[np.float64]:
     """A third of the area of the faces around each vertex, (n,) (ours)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    return np.bincount(faces.ravel(), np.repeat(third, 3), len(vertices))
+    return np.bincount(faces.ravel(), np.repeat(third, 3), len(vertices)).astype(float)

@@ -17,7 +17,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -169,29 +168,22 @@ def _results(
 
     When a worker dies, the jobs under way are repeated one by one: one that dies alone failed.
     """
-    queue = iter(todo.items())
+    queue, suspects = list(todo.items())[::-1], []
     running: dict[Future, tuple[str, Callable[[], Content]]] = {}
-    while True:
-        for name, job in islice(queue, workers - len(running)):
+    while queue or suspects or running:
+        source, limit = (suspects, 1) if suspects else (queue, workers)
+        while source and len(running) < limit:
+            name, job = source.pop()
             running[_submit(workers, name, job, out, seconds)] = name, job
-        if not running:
-            return
         done = wait(running, return_when=FIRST_COMPLETED).done
-        if any(isinstance(future.exception(), BrokenProcessPool) for future in done):
-            suspects = list(running.values())
-            running.clear()
-            for name, job in suspects:
-                yield name, _alone(name, job, out, seconds)
-        else:
+        if not any(isinstance(future.exception(), BrokenProcessPool) for future in done):
             for future in done:
                 yield running.pop(future)[0], future.result()
-
-
-def _alone(name: str, job: Callable[[], Content], out: Path, seconds: int) -> str | None:
-    try:
-        return _submit(1, name, job, out, seconds).result()
-    except BrokenProcessPool:
-        return f"the worker died or took more than {seconds} s"
+        elif len(running) == 1:
+            yield running.popitem()[1][0], f"the worker died or took more than {seconds} s"
+        else:
+            suspects = list(running.values())
+            running.clear()
 
 
 def _submit(workers: int, *arguments) -> Future:
@@ -227,7 +219,11 @@ def find_meshes(folder: str | Path, seed: int = 0) -> list[Path]:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """The command line of this module."""
-    parser = argparse.ArgumentParser(prog="python -m riemlayer.data.prepare", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m riemlayer.data.prepare",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--procedural", type=int, metavar="N", help="make N procedural shapes")
     what.add_argument("--meshes", type=Path, metavar="DIR", help="prepare all meshes below DIR")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ def write_sample(
         OSError: the disk is full or not writable; nothing is left behind.
     """
     path = Path(path)
-    data = save({name: np.ascontiguousarray(x) for name, x in tensors.items()}, dict(metadata))
+    data = _serialise(tensors, metadata)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with open(temporary, "wb") as file:
@@ -41,6 +42,17 @@ def write_sample(
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _serialise(tensors: Mapping[str, NDArray], metadata: Mapping[str, str]) -> bytes:
+    """safetensors bytes with sorted metadata: the library's own order changes from run to run."""
+    data = save({name: np.ascontiguousarray(x) for name, x in tensors.items()}, dict(metadata))
+    body = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:body])
+    header["__metadata__"] = dict(sorted(metadata.items()))
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + data[body:]
 
 
 def remove_stale(folder: str | Path, age: float = 600.0) -> int:

@@ -67,7 +67,7 @@ def unsigned_distance_grid(
     nodes = np.round((np.concatenate([dense, vertices]) + 1) / cell).astype(int)
     occupied[tuple(nodes.T)] = True
     reach = int(np.ceil(level / cell)) + 2  # one cell beyond the level, one between the samples
-    band = ndimage.maximum_filter(occupied, 2 * reach + 1)
+    band = np.asarray(ndimage.maximum_filter(occupied, 2 * reach + 1), dtype=bool)
     index = np.argwhere(band)
     grid = np.full((size, size, size), 2 * reach * cell)
     square = squared_distance(index * cell - 1, vertices, F=faces.astype(np.int32), use_cpp=True)
