@@ -265,10 +265,11 @@ class EncodedSurface:
 
     def _in_support(self, p: Tensor, shape: Tensor | None, batch: torch.Size) -> Tensor:
         index = self._shape_of(p, shape)
-        x = ((p - self.centre[index]) / self.scale[index][..., None]).reshape(-1, 3)
-        near = corners(self.embedding.level, x, index.flatten()).in_support
+        x = (p - self.centre[index]) / self.scale[index][..., None]
         inside = (x.abs() <= HALF_WIDTH).all(-1)
-        return (near & inside).view(p.shape[:-1]).expand(batch)
+        flat = index.expand(inside.shape).flatten()
+        near = corners(self.embedding.level, x.reshape(-1, 3), flat).in_support
+        return (near.view(inside.shape) & inside).expand(batch)
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> EncodedSurface:
         return replace(
