@@ -75,6 +75,8 @@ def value_and_jacobian(f: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor
         value, tangent = jvp(f, (x,), (axis.expand_as(x),))  # pyright: ignore[reportAssignmentType]
         return value, tangent
 
+    if x.numel() == 0:
+        return f(x), x.new_zeros(*x.shape, 3)
     x = x.contiguous()  # forward mode refuses expanded tensors
     axes = torch.eye(3, dtype=x.dtype, device=x.device)
     return vmap(push, out_dims=(None, -1))(axes)  # pyright: ignore[reportArgumentType]
