@@ -17,7 +17,7 @@ Map = Callable[[Tensor, Tensor], Tensor]
 
 def close(actual: Tensor, expected: Tensor, atol: float, law: str) -> None:
     """Every entry within `atol`."""
-    worst = float((actual - expected).abs().max())
+    worst = float((actual - expected).detach().abs().max())
     assert worst <= atol, f"{law}: off by {worst:.3g}, allowed {atol:.3g}"
 
 
