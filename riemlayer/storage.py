@@ -11,6 +11,7 @@ import torch
 from huggingface_hub import ModelHubMixin, hf_hub_download
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 from riemlayer.config import FieldConfig
 
@@ -34,12 +35,9 @@ class Pretrained(ModelHubMixin, library_name="riemlayer", tags=["geometry"]):
         >>> ExpLogField.from_pretrained("base").config.radius
         0.5
         """
-        packaged = (
-            resources.files("riemlayer")
-            / "weights"
-            / f"{pretrained_model_name_or_path}.safetensors"
-        )
-        if packaged.is_file():
+        name = str(pretrained_model_name_or_path)
+        packaged = resources.files("riemlayer") / "weights" / f"{name}.safetensors"
+        if name == Path(name).name and packaged.is_file():
             with resources.as_file(packaged) as weights:
                 return cls._read(weights, weights.with_suffix(".json"))
         return super().from_pretrained(pretrained_model_name_or_path, **kwargs)  # pyright: ignore
@@ -64,18 +62,28 @@ class Pretrained(ModelHubMixin, library_name="riemlayer", tags=["geometry"]):
 
     @classmethod
     def _read(cls, weights: Path, card: Path) -> Self:
-        field = cls(FieldConfig.from_dict(json.loads(card.read_text())["config"]))  # pyright: ignore
+        facts = json.loads(card.read_text())
+        if "config" not in facts:
+            raise ValueError(f"{card} holds no `config`: not saved by save_pretrained")
+        field = cls(FieldConfig.from_dict(facts["config"]))  # pyright: ignore
         try:
             state = load_file(weights)
         except (SafetensorError, OSError) as error:
             raise ValueError(f"weights file {weights} is truncated or corrupt: {error}") from error
-        try:
-            field.load_state_dict({k: x.float() for k, x in state.items()})  # pyright: ignore
-        except RuntimeError as error:
+        expected, got = _shapes(field.state_dict()), _shapes(state)  # pyright: ignore
+        other = sorted(k for k in expected | got if expected.get(k) != got.get(k))
+        if other:
             raise ValueError(
-                f"weights {weights} do not fit the configuration in {card}: {error}"
-            ) from error
+                f"weights {weights} do not fit the configuration in {card}: {len(other)} tensors "
+                f"differ, such as {other[0]} of shape {got.get(other[0])}, expected "
+                f"{expected.get(other[0])}; load them with the {card.name} saved beside them"
+            )
+        field.load_state_dict({k: x.float() for k, x in state.items()})  # pyright: ignore
         return field.eval()  # pyright: ignore
+
+
+def _shapes(state: dict[str, Tensor]) -> dict[str, tuple[int, ...]]:
+    return {name: tuple(x.shape) for name, x in state.items()}
 
 
 def save_field(
