@@ -165,6 +165,20 @@ def check_same_device(name: str, x: Tensor, like: Tensor) -> None:
         )
 
 
+def check_same_kind(name: str, x: Tensor, like: Tensor) -> None:
+    """`x` has the dtype of `like` and lies on its device.
+
+    Raises:
+        ValueError: it does not.
+    """
+    if x.dtype != like.dtype:
+        raise ValueError(
+            f"`{name}` must have dtype {like.dtype} as the field, got {x.dtype}; "
+            f"convert with {name}.to({like.dtype})"
+        )
+    check_same_device(name, x, like)
+
+
 def check_vectors(name: str, x: Any, like: Tensor) -> None:
     """`x` holds 3-D points or vectors that go with `like`: (..., 3), finite, same dtype and device.
 
@@ -185,12 +199,7 @@ def check_vectors(name: str, x: Any, like: Tensor) -> None:
     check_tensor(name, x)
     if x.ndim == 0 or x.shape[-1] != 3:
         raise ValueError(f"`{name}` must have shape (..., 3), got {tuple(x.shape)}")
-    if x.dtype != like.dtype:
-        raise ValueError(
-            f"`{name}` must have dtype {like.dtype} as the surface, got {x.dtype}; "
-            f"convert with {name}.to({like.dtype})"
-        )
-    check_same_device(name, x, like)
+    check_same_kind(name, x, like)
     check_finite(name, x)
 
 

@@ -82,6 +82,8 @@ class ExpLogField(Pretrained, nn.Module):
         Raises:
             TypeError, ValueError: naming the argument, what was expected and what came.
         """
+        checks.check_tensor("points", points)
+        checks.check_same_kind("points", points, like=self.backbone.head.weight)
         checks.check_points(points, batch)
         if batch is None:
             batch = torch.zeros(len(points), dtype=torch.long, device=points.device)
