@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -16,6 +17,8 @@ DENSE_LIMIT = 1 << 25
 """Largest dense grid (int32 entries, 128 MB a level); larger levels search their sorted keys."""
 NEIGHBOURS = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)
 """(27, 3) offsets; the mirror image of offset k is offset 26 - k."""
+OCTANTS = torch.cartesian_prod(*[torch.arange(2)] * 3)
+"""(8, 3) offsets to the corners of a cell."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,18 @@ class Level:
         Cells and offsets may reach one cell beyond the cube, not more.
         """
         return _around(self.key, self.grid, self.depth, cell, batch, offsets)
+
+    def octants(self, cell: Tensor, batch: Tensor) -> Tensor:
+        """Nodes (8, Q) at cells (Q, 3) + `OCTANTS` of shapes (Q,), or n where there is none.
+
+        What every look-up calls: with a dense grid in int32, on a table of steps made once.
+        """
+        if self.grid is None:
+            return self.around(cell.long(), batch, OCTANTS.to(cell.device)).T
+        side = (1 << self.depth) + 2
+        first = _linear(cell.int(), batch.int(), side)
+        places = first + _octant_steps(side, cell.device)  # (8, Q)
+        return self.grid.index_select(0, places.flatten()).view(8, -1)
 
     def centres(self) -> Tensor:
         """(n, 3) centres of the nodes."""
@@ -150,6 +165,13 @@ def _dense_grid(key: Tensor, batch_size: int, depth: int) -> Tensor | None:
         len(key), dtype=torch.int32, device=key.device
     )
     return grid
+
+
+@cache
+@torch.inference_mode(False)
+def _octant_steps(side: int, device: torch.device) -> Tensor:
+    """(8, 1) int32 steps in a dense grid of that side to the corners of a cell."""
+    return (OCTANTS @ torch.tensor([side * side, side, 1])).int()[:, None].to(device)
 
 
 def _linear(cell: Tensor, batch: Tensor, side: int) -> Tensor:
