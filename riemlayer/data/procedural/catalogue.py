@@ -87,6 +87,9 @@ BUILDERS = {
     "vessel": vessels.vessel,
 }
 KINDS: tuple[str, ...] = tuple(BUILDERS)
+COMMON = {"humanoid": 4, "assembly": 3, "hand": 2, "quadruped": 2, "insect": 2, "bust": 2}
+COMMON |= {"chair": 2, "table": 2, "shelf": 2, "vessel": 2, "furniture_soup": 2, "two_wheeler": 2}
+"""How many times as often as the others a kind is drawn: what varies more, or is harder."""
 ATTEMPTS = 30
 
 
@@ -110,7 +113,8 @@ def random_shape(seed: int, kind: str | None = None) -> Shape:
     if seed < 0:
         raise ValueError(f"seed must be at least 0, got {seed}; pass a non-negative integer")
     if kind is None:
-        kind = KINDS[int(np.random.default_rng([seed, len(KINDS)]).integers(len(KINDS)))]
+        weight = np.array([COMMON.get(name, 1) for name in KINDS], float)
+        kind = str(np.random.default_rng(seed).choice(KINDS, p=weight / weight.sum()))
     if kind not in BUILDERS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     for attempt in range(ATTEMPTS):

@@ -31,7 +31,7 @@ def facing(direction, up=(0, 0, 1)) -> np.ndarray:
 
 def humanoid(rng: Rng) -> Sculpture:
     """A person, child or doll with articulated limbs: standing, running, sitting, spread."""
-    clay = Sculpture(rng.uniform(0.03, 0.1))
+    clay = Sculpture(rng.uniform(0.03, 0.1), cells=1.1e6, thinnest=0.011)
     wide, fat, childish = (
         rng.uniform(0.8, 1.3),
         np.exp(rng.normal(0.05, 0.25)),
@@ -129,7 +129,7 @@ def small_hand(rng: Rng, clay: Sculpture, wrist, along, side: int, shrink: float
     """A fist, a mitten, or a palm with a few spread fingers thick enough to be resolved."""
     frame = facing(along, (0.2, 1, 0.3))
     palm = wrist + 0.06 * shrink * along
-    style = pick(rng, "fist", "mitten", "fingers", "fingers")
+    style = pick(rng, "fist", "mitten", "fingers", "fingers", "fine", "fine")
     if style == "fist":
         clay.ball(palm, 0.06 * shrink)
         return
@@ -140,6 +140,14 @@ def small_hand(rng: Rng, clay: Sculpture, wrist, along, side: int, shrink: float
         clay.block(
             palm + 0.09 * shrink * along, np.array([0.04, 0.016, 0.05]) * shrink, frame, 0.015
         )
+        return
+    if style == "fine":
+        for x in np.linspace(-0.036, 0.036, 4):
+            root = palm + frame @ (x, 0, 0.045) * shrink
+            tip = (
+                root + frame @ (x * rng.uniform(0.4, 1.2), rng.uniform(-0.03, 0.01), 0.085) * shrink
+            )
+            clay.cone(root, tip, 0.011, 0.009, blend=0.003)
         return
     for spread in np.linspace(-1, 1, int(rng.integers(3, 5))):
         root = palm + frame @ (spread * 0.04, 0, 0.04) * shrink

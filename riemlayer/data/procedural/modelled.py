@@ -122,5 +122,5 @@ def relief(rng: Rng) -> list[Manifold]:
     bottom = top.copy()
     bottom[..., 2] = -thick
     if chance(rng, 0.3):
-        bottom[..., 2] = gaussian_filter(height, 2.0) - thick - 0.1
+        bottom[..., 2] = np.minimum(gaussian_filter(height, 2.0) - 0.1, height) - thick
     return [slab(top, bottom)]

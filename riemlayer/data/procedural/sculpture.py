@@ -36,10 +36,11 @@ class Sculpture:
     Args:
         blend: Radius over which a new part melts into the rest.
         cells: Number of grid cells.
+        thinnest: Smallest radius of a part, in half sides of the whole; at least a grid cell.
     """
 
-    def __init__(self, blend: float = 0.05, cells: float = 0.8e6):
-        self.blend, self.cells = blend, cells
+    def __init__(self, blend: float = 0.05, cells: float = 0.8e6, thinnest: float = 0.018):
+        self.blend, self.cells, self.thinnest = blend, cells, thinnest
         self.parts: list[Part] = []
         self.waves: list[tuple[np.ndarray, float, float]] = []
 
@@ -133,7 +134,7 @@ class Sculpture:
         low, high = low - margin, high + margin
         sides = high - low
         step = max((np.prod(sides) / self.cells) ** (1 / 3), sides.max() / 230)
-        floor = max(1.05 * step, 0.018 * (sides.max() / 2))
+        floor = max(step, self.thinnest * sides.max() / 2)
         axes = [np.arange(low[i], high[i] + step, step, dtype=np.float32) for i in range(3)]
         values = np.full([len(axis) for axis in axes], FAR, np.float32)
         for part in self.parts:

@@ -31,7 +31,7 @@ def height_field(rng: Rng, n: int = 56) -> tuple[np.ndarray, np.ndarray]:
         k = rng.normal(size=2) * rng.uniform(0.6, 4)
         z += np.sin(k[0] * x + k[1] * y + rng.uniform(0, 6.3)) / (0.6 + np.linalg.norm(k))
     if chance(rng, 0.3):
-        z = np.abs(z) if chance(rng, 0.5) else np.tanh(z * rng.uniform(2, 6))
+        z = np.abs(z) if chance(rng, 0.5) else np.tanh(z * rng.uniform(1.5, 4))
     return np.stack([x, y], -1), z * rng.uniform(0.1, 0.45)
 
 
@@ -98,6 +98,22 @@ def sheet(rng: Rng) -> Parts:
     return [solid]
 
 
+def room(path: np.ndarray) -> float:
+    """The largest radius of a tube about a closed curve (n, 3) that does not touch itself.
+
+    The smaller of the radius of curvature and half the distance between strands.
+    """
+    n = len(path)
+    steps = np.abs(np.arange(n)[:, None] - np.arange(n))
+    far = np.minimum(steps, n - steps) > n // 10
+    gap = np.linalg.norm(path[:, None] - path, axis=-1)
+    before, after = np.roll(path, 1, 0), np.roll(path, -1, 0)
+    first, second = (after - before) / 2, after + before - 2 * path
+    turn = np.linalg.norm(np.cross(first, second), axis=1)
+    radius = np.linalg.norm(first, axis=1) ** 3 / np.maximum(turn, 1e-9)
+    return float(min(gap[far].min() / 2, radius.min()))
+
+
 def knot(rng: Rng) -> Parts:
     """A torus knot, a closed random curve, a spring or a chain link as a tube."""
     t = np.linspace(0, 2 * np.pi, 220, endpoint=False)
@@ -110,10 +126,13 @@ def knot(rng: Rng) -> Parts:
         path = np.stack([r * np.cos(p * t), r * np.sin(p * t), 0.42 * np.sin(q * t)], 1)
         return [tube(path, rng.uniform(0.06, 0.19), sides, True, flat)]
     if style == "random":
-        waves = rng.normal(size=(3, 3, 2)) / np.arange(1, 4)[None, :, None]
         k = np.arange(1, 4)[:, None] * t
-        path = np.einsum("akc,ckn->na", waves, np.stack([np.cos(k), np.sin(k)]))
-        return [tube(path, rng.uniform(0.08, 0.2), sides, True)]
+        path, free = np.zeros((220, 3)), 0.0
+        while free < 0.05:
+            waves = rng.normal(size=(3, 3, 2)) / np.arange(1, 4)[None, :, None]
+            path = np.einsum("akc,ckn->na", waves, np.stack([np.cos(k), np.sin(k)]))
+            free = room(path)
+        return [tube(path, min(rng.uniform(0.08, 0.25), 0.85 * free), sides, True)]
     if style == "spring":
         turns, height = rng.uniform(2, 5), rng.uniform(1, 3)
         s = np.linspace(0, 1, 260)

@@ -39,6 +39,7 @@ def random_warps(rng: Rng, half: np.ndarray) -> list[Warp]:
     steps: list[Warp] = []
     if chance(rng, 0.3):
         stretch = np.exp(rng.normal(0, 0.18, 3))
+        stretch /= stretch.max()
         steps.append(lambda x: x * stretch)
     if chance(rng, 0.08):
         slope, taper_axis = rng.uniform(-0.35, 0.35), int(rng.integers(3))
