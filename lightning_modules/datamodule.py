@@ -46,7 +46,7 @@ class SeededSampler(Sampler[tuple[int, int]]):
 
     def __init__(self, size: int, seed: int, shuffle: bool) -> None:
         self.size, self.seed, self.shuffle = size, seed, shuffle
-        self.epoch, self.skip = 0, 0
+        self.epoch, self.begun = 0, (0, 0)
 
     def __len__(self) -> int:
         return self.size
@@ -60,9 +60,17 @@ class SeededSampler(Sampler[tuple[int, int]]):
             else torch.arange(self.size)
         )
         seeds = torch.randint(1 << 60, (self.size,), generator=generator)
-        start, self.skip = self.skip, 0
+        resumed, seen = self.begun
+        start = seen if self.shuffle and epoch == resumed else 0
         yield from zip(order[start:].tolist(), seeds[start:].tolist(), strict=True)
-        self.epoch += 1
+
+    def set_epoch(self, epoch: int) -> None:
+        """Called by the trainer before each epoch."""
+        self.epoch = epoch
+
+    def resume(self, epoch: int, seen: int) -> None:
+        """Go on in an epoch of which `seen` items have been drawn."""
+        self.epoch, self.begun = epoch, (epoch, seen)
 
 
 class ExpLogDataModule(L.LightningDataModule):
@@ -98,7 +106,6 @@ class ExpLogDataModule(L.LightningDataModule):
         self.validation, self.limit_validation = validation, limit_validation
         self.seed, self.workers = seed, workers
         self.sampler: SeededSampler | None = None
-        self._state: dict[str, Any] = {}
 
     def setup(self, stage: str) -> None:
         """Lists the files; called by the trainer."""
@@ -107,9 +114,6 @@ class ExpLogDataModule(L.LightningDataModule):
         still = Augmentation.none()
         self.held = ShapeDataset(held[: self.limit_validation], still, self.sources, self.vectors)
         self.sampler = SeededSampler(len(train), self.seed, shuffle=True)
-        self.sampler.epoch = self._state.get("epoch", 0)
-        if self._state.get("size") == len(train):
-            self.sampler.skip = self._state["seen"]
 
     def train_dataloader(self) -> DataLoader:
         """Shapes in a new order each epoch."""
@@ -140,7 +144,7 @@ class ExpLogDataModule(L.LightningDataModule):
         trainer = self.trainer
         if trainer is None:
             return {}
-        batches = trainer.fit_loop.epoch_loop.batch_progress.current.completed
+        batches = trainer.fit_loop.epoch_loop.batch_progress.current.processed
         return {
             "epoch": trainer.current_epoch,
             "seen": batches * self.batch_size,
@@ -149,4 +153,8 @@ class ExpLogDataModule(L.LightningDataModule):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Continues there, also when new shapes were added since (then at the epoch's start)."""
-        self._state = state_dict
+        assert self.sampler is not None  # the trainer has called setup
+        epoch, seen, size = (state_dict[name] for name in ("epoch", "seen", "size"))
+        if seen >= size:
+            epoch, seen = epoch + 1, 0
+        self.sampler.resume(epoch, seen if size == len(self.train) else 0)
