@@ -1,0 +1,131 @@
+"""A run that was killed and started again trains exactly as the undisturbed one."""
+
+import math
+
+import pytest
+import torch
+from references import fibonacci_sphere
+from scipy.spatial import ConvexHull
+from torch import Tensor
+
+L = pytest.importorskip("lightning")
+
+from lightning.pytorch.callbacks import ModelCheckpoint  # noqa: E402
+
+from lightning_modules import ExpLogDataModule, ExpLogPretraining, ExponentialAverage  # noqa: E402
+from riemlayer import ExpLogField  # noqa: E402
+from riemlayer.data.augment import Augmentation  # noqa: E402
+from riemlayer.data.closed_form import Sphere  # noqa: E402
+from riemlayer.data.sample_file import write_sample  # noqa: E402
+from riemlayer.losses import LossWeights  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore::Warning:lightning")  # it talks of its own matters
+
+STEPS = 9
+
+
+def sphere_sample(seed: int, sources: int = 6, vectors: int = 32) -> dict[str, Tensor]:
+    """A prepared sample of a sphere with exact ground truth; pairs as in the real ones."""
+    generator = torch.Generator().manual_seed(seed)
+    vertices = fibonacci_sphere(600)
+    faces = torch.from_numpy(ConvexHull(vertices.numpy()).simplices)
+    p = vertices[torch.randperm(600, generator=generator)[:sources], None]
+    v = torch.randn(sources, vectors, 3, generator=generator, dtype=torch.float64)
+    v[:, vectors // 2 :] = v[:, : vectors // 2] + 0.1 * v[:, vectors // 2 :]
+    v = Sphere().project_to_tangent(p, v)
+    v = 0.5 * v / v.norm(dim=-1, keepdim=True).clamp_min(1)
+    sample = {"vertices": vertices, "p": p[:, 0], "normal": p[:, 0], "v": v}
+    sample = {k: x.float() for k, x in (sample | {"q": Sphere().exp(p, v)}).items()}
+    flags = torch.ones(sources, vectors, dtype=torch.bool)
+    return sample | {"faces": faces.int(), "complete": flags, "divergence": 0.1 * flags}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Six prepared shapes, of which the hash of the name holds one back."""
+    folder = tmp_path_factory.mktemp("samples")
+    for i in range(6):
+        sample = {name: x.numpy() for name, x in sphere_sample(i).items()}
+        write_sample(folder / f"sphere{i}.safetensors", sample, {"name": f"sphere{i}"})
+    return folder
+
+
+class Watch(L.Callback):
+    """Writes down every loss and what each validation saw; kills the run before a step counts."""
+
+    def __init__(self, kill_at: int | None = None) -> None:
+        self.kill_at, self.losses, self.validated = kill_at, {}, {}
+
+    def on_train_batch_end(self, trainer, pl_module, outputs, batch, batch_idx) -> None:
+        if trainer.global_step == self.kill_at:
+            raise KilledError
+        self.losses[trainer.global_step] = float(outputs["loss"].detach())
+
+    def on_validation_end(self, trainer, pl_module) -> None:
+        self.validated[trainer.global_step] = float(trainer.callback_metrics["val/exp"])
+
+
+class KilledError(Exception):
+    pass
+
+
+def run(folder, where, kill_at: int | None = None, resume: bool = False) -> Watch:
+    """Train a tiny field; the checkpoint of the last step stays in `where`."""
+    torch.manual_seed(1)
+    watch = Watch(kill_at)
+    keep = ModelCheckpoint(where, "last", every_n_train_steps=1, enable_version_counter=False)
+    trainer = L.Trainer(
+        accelerator="cpu",
+        max_steps=STEPS,
+        val_check_interval=2,
+        check_val_every_n_epoch=None,
+        num_sanity_val_steps=0,
+        gradient_clip_val=1.0,
+        callbacks=[ExponentialAverage(0.9, str(where / "average")), watch, keep],
+        logger=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+    )
+    weights = LossWeights(geo=0, cyc=0, pairs=0.05, relative=True)
+    data = ExpLogDataModule(
+        [str(folder)],
+        sources=3,
+        vectors=16,
+        augmentation=Augmentation(points=(600, 800)),
+        validation=0.2,
+    )
+    model = ExpLogPretraining("tiny", weights, warmup=3)
+    trainer.fit(model, data, ckpt_path=where / "last.ckpt" if resume else None)
+    return watch
+
+
+@pytest.fixture(scope="module")
+def undisturbed(folder, tmp_path_factory) -> Watch:
+    where = tmp_path_factory.mktemp("undisturbed")
+    watch = run(folder, where)
+    watch.average = ExpLogField.from_pretrained(where / "average").state_dict()
+    return watch
+
+
+def test_every_step_is_taken_and_its_loss_is_finite(undisturbed):
+    assert sorted(undisturbed.losses) == list(range(1, STEPS + 1))
+    assert all(math.isfinite(x) for x in undisturbed.losses.values())
+    assert len(set(undisturbed.losses.values())) == STEPS
+    assert sorted(undisturbed.validated) == [2, 4, 6, 8]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill_at", [3, 5, 6, 7])
+def test_a_killed_run_goes_on_to_the_same_losses(folder, undisturbed, tmp_path, kill_at):
+    """Epochs have 5 steps: kills within an epoch, at its end and after it."""
+    with pytest.raises(KilledError):
+        run(folder, tmp_path, kill_at)
+    resumed = run(folder, tmp_path, resume=True)
+    assert sorted(resumed.losses) == list(range(kill_at, STEPS + 1))
+    for step, loss in resumed.losses.items():
+        assert loss == undisturbed.losses[step], f"step {step}"
+    for step, error in resumed.validated.items():
+        assert error == undisturbed.validated[step], f"validation at step {step}"
+    average = ExpLogField.from_pretrained(tmp_path / "average").state_dict()
+    for name, x in average.items():
+        assert torch.equal(x, undisturbed.average[name]), name
