@@ -43,7 +43,7 @@ def quadruped(rng: Rng) -> Sculpture:
     if chance(rng, 0.15):
         clay.ball((chest + skull) / 2, girth * rng.uniform(1.1, 1.5))
     if chance(rng, 0.4):
-        clay.roughen(rng, rng.uniform(0.005, 0.02), rng.uniform(0.1, 0.35))
+        clay.roughen(rng, rng.uniform(0.004, 0.02), rng.uniform(0.06, 0.35))
     return clay
 
 

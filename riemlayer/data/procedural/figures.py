@@ -45,7 +45,7 @@ def humanoid(rng: Rng) -> Sculpture:
     clay.cone(
         bend @ (0, 0, 0.45), neck + bend @ (0, -0.01, 0.08), 0.065 * fat**0.5, 0.05 * fat**0.3
     )
-    pose = pick(rng, "stand", "stand", "walk", "wild", "sit", "tpose")
+    pose = pick(rng, "stand", "stand", "walk", "wild", "sit", "tpose", "tpose")
     shrink = 1 - 0.3 * childish
     for side in (-1, 1):
         arm(rng, clay, side, bend, wide, fat, shrink, pose, robotic)
@@ -53,7 +53,7 @@ def humanoid(rng: Rng) -> Sculpture:
     if chance(rng, 0.15):
         clay.block(bend @ (0, 0.17, 0.3), (0.13, 0.08, 0.2), bend, 0.05)
     if chance(rng, 0.3):
-        clay.roughen(rng, rng.uniform(0.003, 0.008), rng.uniform(0.08, 0.25))
+        clay.roughen(rng, rng.uniform(0.003, 0.008), rng.uniform(0.06, 0.25))
     return clay
 
 

@@ -45,8 +45,9 @@ def finish(rng: Rng, model: list[Manifold] | Sculpture, kind: str, soup: bool) -
     low, high = np.reshape(whole.bounding_box(), (2, 3))
     half, place = (high - low).max() / 2, placement(rng, low, high)
     raw, shelled = None, soup and chance(rng, 0.3)
-    if parts:
-        whole = whole.simplify(1e-3 * half).refine_to_length(EDGE * half)
+    if parts or chance(rng, 0.25):
+        coarse = 1e-3 if parts else rng.uniform(3e-3, 1e-2)  # some organic shapes are low-poly
+        whole = whole.simplify(coarse * half).refine_to_length(EDGE * half)
     if parts and soup and (len(parts) > 1 or shelled):
         meshes = [to_arrays(part.refine_to_length(3 * EDGE * half)) for part in parts]
         vertices, faces = concatenate([opened(rng, m) for m in meshes] if shelled else meshes)

@@ -150,7 +150,7 @@ def instrument(rng: Rng) -> Parts:
     body = extrude(section, deep)
     parts: Parts = []
     style = pick(rng, "hollow", "racket", "solid")
-    if style == "hollow":
+    if style == "hollow" and deep > 0.19:
         body -= extrude(section.offset(-0.06), deep - 0.12)
         body -= rod(rng.uniform(0.1, 0.2), deep, (rng.uniform(-0.1, 0.25), 0, deep / 2))
     elif style == "racket":

@@ -26,7 +26,7 @@ def placement(rng: Rng, low: np.ndarray, high: np.ndarray) -> Warp:
 
 def random_turn(rng: Rng) -> np.ndarray:
     """A rotation (3, 3): mostly one that keeps the axes in some order, else any."""
-    if chance(rng, 0.3):
+    if chance(rng, 0.2):
         q, r = np.linalg.qr(rng.normal(size=(3, 3)))
         turn = q * np.sign(np.diag(r))
     else:
