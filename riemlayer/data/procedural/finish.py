@@ -90,7 +90,7 @@ def shell(vertices: np.ndarray, faces: np.ndarray, size: int) -> Mesh | None:
         around = make_watertight(vertices, faces, size, 2 / size)
     except ValueError:
         return None
-    body = to_arrays(from_arrays(*around).simplify(3e-4))
+    body = to_arrays(from_arrays(*around).simplify(3e-4).refine_to_length(EDGE))
     return body if len(body[0]) else None
 
 
