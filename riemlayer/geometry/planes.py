@@ -16,6 +16,7 @@ from riemlayer.numerics import (
     symmetric_eigenvalues,
 )
 from riemlayer.octree import Level, Octree, corners
+from riemlayer.octree.interpolate import corner_columns
 
 PARENT_POINTS = 0.2
 """Weight, in points, of the parent's neighbourhood in a node's moments: it decides only where the
@@ -42,19 +43,17 @@ class PlaneLevel(NamedTuple):
     """(n, 3) of the local covariance, ascending."""
 
     def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
-        """Weighted sums (5, Q) of oriented normals, signed distances of `x`, and the weights."""
-        node, weight = corners(self.level, x, batch)  # (Q, 8)
-        near = self.plane.index_select(1, node.T.flatten()).view(6, 8, -1)
-        centroid, normal = near.split(3)  # (3, 8, Q)
-        offset = x.T[:, None] - centroid
-        width = BLEND * self.level.cell_size
-        exponent = offset.square().sum(0) * (-0.5 / width**2)
-        weight = weight.T * exponent.clamp_min(NEGLIGIBLE).exp()  # (8, Q)
-        agree = (normal * towards.T[:, None]).sum(0)
-        sign = torch.where(agree < 0, -weight, weight)
+        """Sums (5, Q) of oriented normals, signed distances of `x` (3, Q), and the weights."""
+        node, weight = corner_columns(self.level, x, batch)  # (8, Q)
+        near = self.plane.index_select(1, node.flatten()).view(6, 8, -1)
+        centroid, normal = near[:3], near[3:]  # (3, 8, Q)
+        offset = x[:, None] - centroid
+        exponent = offset.square().sum(0) * (-0.5 / (BLEND * self.level.cell_size) ** 2)
+        weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
+        agree = (normal * towards[:, None]).sum(0)
+        sign = torch.copysign(weight, agree)
         distance = sign * (normal * offset).sum(0)
-        total = torch.stack((distance.sum(0), weight.sum(0)))
-        return torch.cat(((normal * sign).sum(1), total))
+        return torch.cat(((normal * sign).sum(1), torch.stack((distance, weight)).sum(1)))
 
     def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
         """Normal (Q, 3) of the nearest of the eight nodes around `x`; 0 where there is none."""
@@ -75,15 +74,15 @@ class LocalPlanes(NamedTuple):
         Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from
         every node the normal is `towards` and the distance 0.
         """
+        x, towards = x.T, towards.T
         sums = self.fine.blend(x, batch, towards)
         thin = (sums[4] < 30 * FALLBACK).nonzero().squeeze(-1)
         if len(thin):
-            coarse = self.coarse.blend(x[thin], batch[thin], towards[thin])
-            sums = sums.index_add(1, thin, FALLBACK * coarse)
-        normal, distance, weight = sums.T.split((3, 1, 1), -1)
-        found = weight > 1e-10
-        distance = torch.where(found, distance / weight.clamp_min(1e-12), 0.0)
-        return normalise(torch.where(found, normal, towards)), distance
+            parts = (y.index_select(-1, thin) for y in (x, batch, towards))
+            sums = sums.index_add(1, thin, self.coarse.blend(*parts), alpha=FALLBACK)
+        normal, distance, weight = sums[:3], sums[3], sums[4]
+        normal = torch.where(weight > 1e-10, normal, towards)
+        return normalise(normal.T), (distance / weight.clamp_min(1e-10))[:, None]
 
     def normal(self, p: Tensor, batch: Tensor) -> Tensor:
         """Unit normals (Q, 3) at `p`, with the sign of the nearest node's; the z axis far away.

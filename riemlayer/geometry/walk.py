@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.geometry.planes import LocalPlanes
-from riemlayer.numerics import normalise
+from riemlayer.numerics import in_columns, normalise
 
 ANCHOR = 0.3
 """Length, in cells, within which a walk leaves p along v itself, to first order."""
@@ -29,7 +29,14 @@ class Walked(NamedTuple):
     """(Q, 3) unit normal at the end; its sign is arbitrary at the start and kept along the walk."""
 
 
-def walk(planes: LocalPlanes, p: Tensor, v: Tensor, batch: Tensor, steps: int = 8) -> Walked:
+def walk(
+    planes: LocalPlanes,
+    p: Tensor,
+    v: Tensor,
+    batch: Tensor,
+    steps: int = 8,
+    normal: Tensor | None = None,
+) -> Walked:
     """Walk from `p` along `v` over the local planes in `steps` equal steps (appendix D).
 
     Each step goes straight ahead, drops onto the plane found there, and turns the direction by the
@@ -46,12 +53,14 @@ def walk(planes: LocalPlanes, p: Tensor, v: Tensor, batch: Tensor, steps: int = 
         v: (Q, 3) tangent vectors.
         batch: (Q,) int64, shape of each start.
         steps: number of steps; 8 for the trained radius, |v| over half the spacing for a fine walk.
+        normal: (Q, 3) what `planes.normal` answers at `p`, where it is known already.
     """
-    normal = planes.normal(p, batch)
+    if normal is None:
+        normal = planes.normal(p, batch)
     square = v.square().sum(-1, keepdim=True)
     tilt = (normal * v).sum(-1, keepdim=True) / (square + NEGLIGIBLE**2)
     normal = normalise(normal - tilt * v)
-    x, carried, normal = (y.T.contiguous().T for y in (p, v, normal))  # columns are faster
+    x, carried, normal = (in_columns(y) for y in (p, v, normal))
     for _ in range(steps):
         x = torch.add(x, carried, alpha=1 / steps)
         ahead, gap = planes.at(x, batch, normal)
@@ -92,4 +101,5 @@ def turn(w: Tensor, n: Tensor, m: Tensor) -> Tensor:
     held above 0.2.
     """
     cosine = (n * m).sum(-1, keepdim=True)
-    return w - (w * m).sum(-1, keepdim=True) / (1 + cosine).clamp_min(0.2) * (n + m)
+    length = (w * m).sum(-1, keepdim=True) / (1 + cosine).clamp_min(0.2)
+    return torch.addcmul(w, length, n + m, value=-1)

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from riemlayer.config import HeadConfig
 from riemlayer.geometry import LocalPlanes, lay_flat, walk
 from riemlayer.heads.triplane import TriplaneHypernetwork, sample_triplane
-from riemlayer.numerics import outer6, safe_norm
+from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import Level, interpolate, interpolate_or_zero
 
 TRAINED = 1.06
@@ -82,7 +82,8 @@ class MapHead(nn.Module):
         """Decoder on triplane features at `x` (S, K, 3), `x` itself and what else it is told."""
         x = x / self.radius
         features = sample_triplane(self.planes(z), x)
-        return self.decoder(torch.cat((features.to(x.dtype), x, *told), -1))
+        inputs = (y.contiguous() for y in (features.to(x.dtype), x, *told))  # else cat is slow
+        return self.decoder(torch.cat([*inputs], -1))
 
     def validity(self, hidden: Tensor, v: Tensor) -> Tensor:
         """Logit (S, K), lowered where the tangent vector `v` (S, K, 3) is too long."""
@@ -113,7 +114,7 @@ class ExpHead(MapHead):
         if not self.config.anchored:
             hidden, vector = self.decode(z, v)
             return MapOutput(vector, self.validity(hidden, v))
-        v = torch.cat((torch.zeros_like(v[:, :1]), v), 1)  # (S, 1 + K, 3)
+        v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
         moved, turned, normals = self.prior(field, p, v, shape)
         landed = read_narrow(field, p[:, None] + moved, shape)
         told = ((moved - v) / self.radius, turned / self.radius, normals, landed)
@@ -125,12 +126,13 @@ class ExpHead(MapHead):
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Where the prior ends (S, K, 3), v carried there, the normals at both ends (S, K, 12)."""
-        start = p[:, None].expand_as(v).reshape(-1, 3)
-        index = shape[:, None].expand(v.shape[:2]).flatten()
-        here = outer6(field.planes.normal(p, shape))[:, None].expand(-1, v.shape[1], -1)
+        normal = field.planes.normal(p, shape)
+        here = outer6(normal)[:, None].expand(-1, v.shape[1], -1)
         if not self.config.walk_steps:
             return v, v, torch.cat((here, here), -1)
-        end = walk(field.planes, start, v.flatten(0, 1), index, self.config.walk_steps)
+        start, normal = (y[:, None].expand_as(v).reshape(-1, 3) for y in (p, normal))
+        index = shape[:, None].expand(v.shape[:2]).flatten()
+        end = walk(field.planes, start, v.flatten(0, 1), index, self.config.walk_steps, normal)
         there = outer6(end.normal).unflatten(0, v.shape[:2])
         moved, turned = (end.point - start).view_as(v), end.vector.view_as(v)
         return moved, turned, torch.cat((there, here), -1)
@@ -154,7 +156,7 @@ class LogHead(MapHead):
         if not self.config.anchored:
             hidden, vector = self.decode(z, x)
             return MapOutput(vector, self.validity(hidden, vector))
-        x = torch.cat((torch.zeros_like(x[:, :1]), x), 1)  # (S, 1 + K, 3)
+        x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
         here = outer6(normal)[:, None].expand(-1, x.shape[1], -1)

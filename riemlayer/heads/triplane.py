@@ -9,6 +9,8 @@ from riemlayer.numerics import weighted_rows
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 """Coordinates of the planes xy, xz, yz."""
+FEW = 16
+"""Sources for which casting the hypernetwork's weights would take longer than the product."""
 
 
 def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
@@ -27,17 +29,22 @@ def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     torch.Size([2, 7, 15])
     """
     s, _, r, _, c = planes.shape
-    t = (x.clamp(-1, 1) + 1) * ((r - 1) / 2)  # (S, K, 3)
-    low = t.detach().floor().clamp_max(r - 2)
-    fraction = (t - low)[..., PLANES]  # (S, K, 3, 2)
-    cell = low.long()[..., PLANES]
-    plane = torch.arange(3 * s, device=x.device).view(s, 1, 3)
-    row = (plane * r + cell[..., 0]) * r + cell[..., 1]  # (S, K, 3)
-    row = row[..., None] + torch.tensor([0, 1, r, r + 1], device=x.device)  # (S, K, 3, 4)
-    f, g = fraction.unbind(-1)
-    weight = torch.stack(((1 - f) * (1 - g), (1 - f) * g, f * (1 - g), f * g), -1)
+    t = (x.movedim(-1, 0).clamp(-1, 1) + 1) * ((r - 1) / 2)  # (3, S, K): columns are faster
+    low = t.detach().int().clamp_max(r - 2)
+    plane = torch.arange(3 * s, dtype=torch.int32, device=x.device).view(s, 3, 1).movedim(0, 1)
+    i, j = _on_planes(low)
+    row = (plane * r + i) * r + j  # (3, S, K)
+    f, g = _on_planes(t - low)
+    rows = torch.stack((row, row + 1, row + r, row + r + 1))  # (4, 3, S, K)
+    weight = torch.stack(((1 - f) * (1 - g), (1 - f) * g, f * (1 - g), f * g))
+    rows, weight = (y.permute(2, 3, 1, 0).reshape(-1, 4) for y in (rows, weight))
     table = planes.reshape(-1, c).to(x.dtype)
-    return weighted_rows(table, row.view(-1, 4), weight.view(-1, 4)).view(*x.shape[:2], 3 * c)
+    return weighted_rows(table, rows, weight).view(*x.shape[:2], 3 * c)
+
+
+def _on_planes(y: Tensor) -> tuple[Tensor, Tensor]:
+    """First and second coordinate (3, ...) on each plane, of coordinates (3, ...) in space."""
+    return torch.stack([y[i] for i, _ in PLANES]), torch.stack([y[j] for _, j in PLANES])
 
 
 class TriplaneHypernetwork(nn.Module):
@@ -49,7 +56,9 @@ class TriplaneHypernetwork(nn.Module):
         self.linear = nn.Linear(embedding, 3 * resolution**2 * channels)
 
     def forward(self, z: Tensor) -> Tensor:
-        return self.linear(z).unflatten(-1, self.shape)
+        half = len(z) > FEW and torch.is_autocast_enabled(z.device.type)
+        with torch.autocast(z.device.type, enabled=half):
+            return self.linear(z).unflatten(-1, self.shape)
 
     def extra_repr(self) -> str:
         _, r, _, c = self.shape

@@ -58,16 +58,18 @@ class Level:
         return _around(self.key, self.grid, self.depth, cell, batch, offsets)
 
     def octants(self, cell: Tensor, batch: Tensor) -> Tensor:
-        """Nodes (8, Q) at cells (Q, 3) + `OCTANTS` of shapes (Q,), or n where there is none.
+        """Nodes (8, Q) at the columns of `cell` (3, Q) + `OCTANTS`, or n where there is none.
 
-        What every look-up calls: with a dense grid in int32, on a table of steps made once.
+        What every look-up calls: one gather from the dense grid by int32 steps that are made once.
         """
         if self.grid is None:
-            return self.around(cell.long(), batch, OCTANTS.to(cell.device)).T
+            return self.around(cell.T.long(), batch, OCTANTS.to(cell.device)).T
         side = (1 << self.depth) + 2
-        first = _linear(cell.int(), batch.int(), side)
-        places = first + _octant_steps(side, cell.device)  # (8, Q)
-        return self.grid.index_select(0, places.flatten()).view(8, -1)
+        strides, corners = _octant_steps(side, cell.device)
+        first = (cell.int() * strides).sum(0, dtype=torch.int32)  # (Q,)
+        if self.batch_size > 1:
+            first = first + batch.int() * side**3
+        return self.grid.index_select(0, (first + corners).flatten()).view(8, -1)
 
     def centres(self) -> Tensor:
         """(n, 3) centres of the nodes."""
@@ -169,9 +171,11 @@ def _dense_grid(key: Tensor, batch_size: int, depth: int) -> Tensor | None:
 
 @cache
 @torch.inference_mode(False)
-def _octant_steps(side: int, device: torch.device) -> Tensor:
-    """(8, 1) int32 steps in a dense grid of that side to the corners of a cell."""
-    return (OCTANTS @ torch.tensor([side * side, side, 1])).int()[:, None].to(device)
+def _octant_steps(side: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Strides (3, 1) of a dense grid of that side, steps (8, 1) to a cell's corners; int32."""
+    strides = torch.tensor([side * side, side, 1])
+    corners = (OCTANTS + 1) @ strides  # the grid has a border of one cell
+    return strides.int()[:, None].to(device), corners.int()[:, None].to(device)
 
 
 def _linear(cell: Tensor, batch: Tensor, side: int) -> Tensor:

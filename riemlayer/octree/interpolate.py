@@ -29,16 +29,21 @@ def corners(level: Level, x: Tensor, batch: Tensor) -> Corners:
     """Nodes around queries `x` (Q, 3) of shapes `batch` (Q,), differentiable in `x`.
 
     Queries beyond the outermost cell centres are moved onto them, so no weight is ever negative.
-    Both tables lie in memory corner by corner: sums over the corners are several times faster so.
     """
+    node, weight = corner_columns(level, x.T, batch)
+    return Corners(node.T, weight.T)
+
+
+def corner_columns(level: Level, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+    """`corners` of columns (3, Q), as node and weight (8, Q): sums over corners are faster so."""
     last = (1 << level.depth) - 1
-    t = (x.T / level.cell_size + (HALF_WIDTH / level.cell_size - 0.5)).clamp(0, last)  # (3, Q)
+    t = (x / level.cell_size + (HALF_WIDTH / level.cell_size - 0.5)).clamp(0, last)  # (3, Q)
     cell = t.detach().int().clamp_max(max(last - 1, 0))
     fraction = t - cell
-    node = level.octants(cell.T, batch)  # (8, Q)
+    node = level.octants(cell, batch)
     wx, wy, wz = torch.stack((1 - fraction, fraction)).unbind(1)  # (2, Q)
     weight = (wx[:, None] * wy)[:, :, None] * wz  # (2, 2, 2, Q)
-    return Corners(node.T, (weight.flatten(0, 2) * (node < len(level))).T)
+    return node, weight.flatten(0, 2) * (node < len(level))
 
 
 def nearest_node(level: Level, x: Tensor, batch: Tensor, chunk: int = 4096) -> Tensor:
@@ -79,7 +84,8 @@ def interpolate_or_zero(features: Tensor, level: Level, x: Tensor, batch: Tensor
 
 
 def _renormalised(level: Level, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    node, weight = corners(level, x, batch)
-    total = weight.sum(-1, keepdim=True)
-    supported = total.detach().squeeze(-1) > 1e-6
-    return node.clamp_max(len(level) - 1), weight / total.clamp_min(1e-6), supported
+    node, weight = corner_columns(level, x.T, batch)
+    total = weight.sum(0)
+    supported = total.detach() > 1e-6
+    weight = weight / total.clamp_min(1e-6)
+    return node.clamp_max(len(level) - 1).T, weight.T, supported
