@@ -2,22 +2,21 @@
 
 import math
 
+import lightning as L
 import pytest
 import torch
 from references import fibonacci_sphere
 from scipy.spatial import ConvexHull
 from torch import Tensor
 
-L = pytest.importorskip("lightning")
+L = from lightning.pytorch.callbacks import ModelCheckpoint
 
-from lightning.pytorch.callbacks import ModelCheckpoint  # noqa: E402
-
-from lightning_modules import ExpLogDataModule, ExpLogPretraining, ExponentialAverage  # noqa: E402
-from riemlayer import ExpLogField  # noqa: E402
-from riemlayer.data.augment import Augmentation  # noqa: E402
-from riemlayer.data.closed_form import Sphere  # noqa: E402
-from riemlayer.data.sample_file import write_sample  # noqa: E402
-from riemlayer.losses import LossWeights  # noqa: E402
+from lightning_modules import ExpLogDataModule, ExpLogPretraining, ExponentialAverage
+from riemlayer import ExpLogField
+from riemlayer.data.augment import Augmentation
+from riemlayer.data.closed_form import Sphere
+from riemlayer.data.sample_file import write_sample
+from riemlayer.losses import LossWeights
 
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:lightning")  # it talks of its own matters
 
@@ -114,7 +113,6 @@ def test_every_step_is_taken_and_its_loss_is_finite(undisturbed):
     assert sorted(undisturbed.validated) == [2, 4, 6, 8]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kill_at", [3, 5, 6, 7])
 def test_a_killed_run_goes_on_to_the_same_losses(folder, undisturbed, tmp_path, kill_at):
     """Epochs have 5 steps: kills within an epoch, at its end and after it."""
