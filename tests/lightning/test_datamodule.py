@@ -6,7 +6,7 @@ import pytest
 import torch
 from lightning.pytorch.cli import LightningCLI
 
-L = from lightning_modules import ExpLogDataModule, ExpLogPretraining
+from lightning_modules import ExpLogDataModule, ExpLogPretraining
 from lightning_modules.datamodule import SeededSampler, collate
 from riemlayer.data.augment import TrainingSample
 from riemlayer.losses import Truth

@@ -5,11 +5,10 @@ import math
 import lightning as L
 import pytest
 import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
 from references import fibonacci_sphere
 from scipy.spatial import ConvexHull
 from torch import Tensor
-
-L = from lightning.pytorch.callbacks import ModelCheckpoint
 
 from lightning_modules import ExpLogDataModule, ExpLogPretraining, ExponentialAverage
 from riemlayer import ExpLogField
