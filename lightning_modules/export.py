@@ -15,6 +15,9 @@ from riemlayer.config import FieldConfig
 from riemlayer.field import ExpLogField
 from riemlayer.storage import save_field
 
+TOLD = ("preset", "learning_rate", "weight_decay", "warmup")
+"""Hyper-parameters that the card names; paths are not among them."""
+
 
 def export(checkpoint: str | Path, weights: str | Path, facts: dict[str, Any]) -> Path:
     """Write the averaged weights of a checkpoint as float16 safetensors beside a JSON card.
@@ -42,7 +45,7 @@ def export(checkpoint: str | Path, weights: str | Path, facts: dict[str, Any]) -
     training = {
         "steps": state["global_step"],
         "epochs": state["epoch"],
-        "hyper_parameters": state["hyper_parameters"],
+        **{k: state["hyper_parameters"][k] for k in TOLD},
         "parameters": sum(x.numel() for x in field.parameters()),
     }
     versions = {
@@ -51,6 +54,7 @@ def export(checkpoint: str | Path, weights: str | Path, facts: dict[str, Any]) -
         "python": platform.python_version(),
     }
     save_field(field, weights, card, torch.float16, training=training, versions=versions, **facts)
+    weights.chmod(0o644)
     return card
 
 
