@@ -31,7 +31,8 @@ class ExponentialAverage(L.Callback):
         state = {k: x.detach() for k, x in pl_module.field.state_dict().items()}
         if not self.average:
             self.average = {k: x.clone() for k, x in state.items()}
-        torch._foreach_lerp_(list(self.average.values()), list(state.values()), weight)
+        lerp = torch._foreach_lerp_  # pyright: ignore[reportPrivateImportUsage]
+        lerp(list(self.average.values()), list(state.values()), weight)
 
     def on_validation_start(self, trainer: L.Trainer, pl_module: Any) -> None:
         """Puts the average in the field's place."""

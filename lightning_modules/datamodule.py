@@ -144,10 +144,10 @@ class ExpLogDataModule(L.LightningDataModule):
         trainer = self.trainer
         if trainer is None:
             return {}
-        batches = trainer.fit_loop.epoch_loop.batch_progress.current.processed
+        progress: Any = trainer.fit_loop.epoch_loop.batch_progress.current
         return {
             "epoch": trainer.current_epoch,
-            "seen": batches * self.batch_size,
+            "seen": progress.processed * self.batch_size,
             "size": len(self.train),
         }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class FieldConfig:
     def from_dict(cls, values: dict) -> FieldConfig:
         """Inverse of `to_dict`; unknown names raise."""
         try:
-            tuples = {
+            tuples: dict[str, Any] = {
                 k: tuple(v) if isinstance(v, list) else v for k, v in values["backbone"].items()
             }
             return replace(
