@@ -112,7 +112,10 @@ def test_every_step_is_taken_and_its_loss_is_finite(undisturbed):
     assert sorted(undisturbed.validated) == [2, 4, 6, 8]
 
 
-@pytest.mark.parametrize("kill_at", [3, 5, 6, 7])
+@pytest.mark.parametrize(
+    "kill_at",
+    [3, 6, pytest.param(5, marks=pytest.mark.slow), pytest.param(7, marks=pytest.mark.slow)],
+)
 def test_a_killed_run_goes_on_to_the_same_losses(folder, undisturbed, tmp_path, kill_at):
     """Epochs have 5 steps: kills within an epoch, at its end and after it."""
     with pytest.raises(KilledError):
