@@ -149,6 +149,15 @@ def test_bounding_cubes():
     assert centre.tolist() == [[2, 0.5, 1], [5, 5, 5]] and scale.tolist() == [2, 0]
 
 
+def test_encode_centres_and_scales_to_the_cube_and_no_more():
+    points, field = 5 * lumpy(120) + 3, shaken("tiny")
+    low, high = points.amin(0), points.amax(0)
+    x = (points - (low + high) / 2) / ((high - low).max() / 2)
+    in_cube = field.encode_in_cube(x, torch.zeros(120, dtype=torch.long))
+    for a, b in zip(field.encode(points).embedding[:2], in_cube.embedding[:2], strict=True):
+        torch.testing.assert_close(a, b)
+
+
 def test_radius_is_in_the_users_units():
     field = shaken("tiny")
     surface = field.encode(*packed(lumpy(50), 10 * lumpy(50)))
