@@ -53,8 +53,12 @@ class TrainingSample:
 
 
 def training_sample(
-    sample: Mapping[str, Tensor], how: Augmentation, generator: torch.Generator,
-    sources: int = 13, vectors: int = 768, tau: float = 0.5,
+    sample: Mapping[str, Tensor],
+    how: Augmentation,
+    generator: torch.Generator,
+    sources: int = 13,
+    vectors: int = 768,
+    tau: float = 0.5,
 ) -> TrainingSample:
     """Draw a cloud and `sources` x `vectors` queries from a prepared shape (Sec. 3.3).
 
@@ -106,11 +110,9 @@ def draw_points(
     return points
 
 
-def sample_surface(
-    vertices: Tensor, faces: Tensor, n: int, generator: torch.Generator
-) -> Tensor:
+def sample_surface(vertices: Tensor, faces: Tensor, n: int, generator: torch.Generator) -> Tensor:
     """(n, 3) independent points, uniform by area."""
-    corners = vertices[faces.long()]                                               # (m, 3, 3)
+    corners = vertices[faces.long()]  # (m, 3, 3)
     normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = normal.norm(dim=-1).double().cumsum(0)
     at = torch.searchsorted(area, torch.rand(n, generator=generator).double() * area[-1])
@@ -158,9 +160,7 @@ def noise_like(points: Tensor, size: float, generator: torch.Generator) -> Tenso
     return torch.nn.functional.normalize(normal, dim=-1) * length
 
 
-def cut_open(
-    points: Tensor, queries: Tensor, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
+def cut_open(points: Tensor, queries: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Removes holes, all beyond a plane, or what a camera would not see (ours).
 
     Returns:
@@ -214,7 +214,7 @@ def half_way(v: Tensor, q: Tensor) -> Tensor:
     A quarter of the vectors are candidates, so that this stays cheap.
     """
     few = slice(None, None, 4)
-    nearest = torch.cdist(v / 2, v[:, few]).argmin(-1, keepdim=True)                # (S, K, 1)
+    nearest = torch.cdist(v / 2, v[:, few]).argmin(-1, keepdim=True)  # (S, K, 1)
     return q[:, few].gather(1, nearest.expand_as(q))
 
 

@@ -64,7 +64,10 @@ class ShapeDataset(Dataset):
     """
 
     def __init__(
-        self, files: Sequence[Path], augmentation: Augmentation, sources: int = 13,
+        self,
+        files: Sequence[Path],
+        augmentation: Augmentation,
+        sources: int = 13,
         vectors: int = 768,
     ) -> None:
         self.files, self.augmentation = list(files), augmentation
