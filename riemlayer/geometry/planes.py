@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -14,6 +15,7 @@ from riemlayer.numerics import (
     segment_sum,
     smallest_eigenvector,
     symmetric_eigenvalues,
+    weighted_rows,
 )
 from riemlayer.octree import Level, Octree, corners
 from riemlayer.octree.interpolate import corner_columns
@@ -116,37 +118,74 @@ class LocalPlanes(NamedTuple):
         return torch.cat((outer6(normal), ratios, offset), -1)
 
 
+class Moments(NamedTuple):
+    """Points of each of n groups: how many, where, and how they scatter.
+
+    Second moments are taken about a point nearby: about the origin they would lose four digits.
+    """
+
+    mass: Tensor
+    """(n, 1)"""
+    centroid: Tensor
+    """(n, 3)"""
+    scatter: Tensor
+    """(n, 6) sum of the outer products of the offsets from the centroid."""
+
+    def merged(self, group: Tensor, size: int) -> Moments:
+        """Moments of `size` larger groups, given the one (n,) that each group belongs to."""
+        mass = segment_sum(self.mass, group, size)
+        centroid = segment_sum(self.mass * self.centroid, group, size) / mass
+        offset = self.centroid - centroid[group]
+        scatter = segment_sum(self.scatter + self.mass * outer6(offset), group, size)
+        return Moments(mass, centroid, scatter)
+
+    def around(self, level: Level) -> Moments:
+        """Sums over 27 neighbours, weighted by the distance between centroids."""
+        index = level.neighbours.flatten()
+        own = torch.cat((self.mass, self.centroid), -1)
+        near = torch.cat((own, own.new_zeros(1, 4))).T.index_select(1, index).view(4, -1, 27)
+        offset = near[1:] - self.centroid.T[..., None]  # (3, n, 27)
+        exponent = offset.square().sum(0) * (-0.5 / (NEIGHBOURHOOD * level.cell_size) ** 2)
+        weight = exponent.clamp_min(NEGLIGIBLE).exp()
+        scatter = torch.cat((self.scatter, self.scatter.new_zeros(1, 6)))
+        scatter = weighted_rows(scatter, level.neighbours, weight)
+        weight = near[0] * weight
+        mass = weight.sum(-1, keepdim=True)
+        mean = (weight * offset).sum(-1).T / mass
+        x, y, z = offset - mean.T[..., None]
+        xw, yw, zw = weight * x, weight * y, weight * z
+        pairs = (xw * x, yw * y, zw * z, xw * y, xw * z, yw * z)
+        scatter = scatter + torch.stack([pair.sum(-1) for pair in pairs], -1)
+        return Moments(mass, self.centroid + mean, scatter)
+
+
 def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
     """Planes of the two finest levels of `octree` by PCA (appendix D: normals by PCA).
 
     Args:
         points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
     """
-    depth = octree.depth
-    moments = segment_sum(_moments(points), octree.leaf, len(octree.level(depth)))  # (n, 10)
-    levels = []
-    for d in (depth, depth - 1):
-        level, parent = octree.level(d), octree.level(d - 1)
-        assert level.parent is not None  # the octree goes below these levels
-        parent_moments = segment_sum(moments, level.parent, len(parent))
-        levels.append(_plane_level(moments, parent_moments, level, parent))
-        moments = parent_moments
-    return LocalPlanes(*levels)
+    levels = [octree.level(octree.depth - i) for i in range(3)]
+    single = Moments(torch.ones_like(points[:, :1]), points, points.new_zeros(len(points), 6))
+    moments = [single.merged(octree.leaf, len(levels[0]))]
+    for fine, coarse in pairwise(levels):
+        assert fine.parent is not None  # the octree goes below these levels
+        moments.append(moments[-1].merged(fine.parent, len(coarse)))
+    around = [m.around(level) for m, level in zip(moments, levels, strict=True)]
+    return LocalPlanes(*(_plane_level(levels[i], moments[i], *around[i : i + 2]) for i in (0, 1)))
 
 
-def _plane_level(
-    moments: Tensor, parent_moments: Tensor, level: Level, parent: Level
-) -> PlaneLevel:
-    around = _neighbourhood_sum(moments, level)
-    wide = _neighbourhood_sum(parent_moments, parent)
+def _plane_level(level: Level, moments: Moments, around: Moments, wide: Moments) -> PlaneLevel:
+    """Planes of a level: its moments, those of its neighbourhoods and of its parents'."""
     assert level.parent is not None
-    total = around + (PARENT_POINTS * wide / wide[:, :1])[level.parent]
-    mean = total / total[:, :1]
-    covariance = _settled(mean[:, 4:] - outer6(mean[:, 1:4]), level.cell_size)
+    share = PARENT_POINTS / (around.mass + PARENT_POINTS)
+    apart = wide.centroid[level.parent] - around.centroid
+    covariance = (1 - share) * (around.scatter / around.mass + share * outer6(apart))
+    covariance = covariance + share * (wide.scatter / wide.mass)[level.parent]
+    covariance = _settled(covariance, level.cell_size)
     eigenvalues = symmetric_eigenvalues(covariance)
     normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
-    centroid = moments[:, 1:4] / moments[:, :1]
-    plane = torch.cat((centroid, normal), -1)
+    plane = torch.cat((moments.centroid, normal), -1)
     plane = torch.cat((plane, plane.new_zeros(1, 6))).T.contiguous()
     return PlaneLevel(level, plane, eigenvalues)
 
@@ -160,19 +199,3 @@ def _settled(covariance: Tensor, cell_size: float) -> Tensor:
     tie = covariance.new_tensor([2.0, 1, 0, 0, 0, 0]) * (10 * NO_PLANE * cell_size**2)
     flat = symmetric_eigenvalues(covariance)[:, 1:2] >= NO_PLANE * cell_size**2
     return torch.where(flat, covariance, covariance + tie)
-
-
-def _moments(x: Tensor) -> Tensor:
-    return torch.cat((torch.ones_like(x[:, :1]), x, outer6(x)), -1)  # (N, 10)
-
-
-def _neighbourhood_sum(moments: Tensor, level: Level) -> Tensor:
-    """Sums (n, 10) over 27 neighbours, weighted by the distance between centroids."""
-    centroid = moments[:, 1:4] / moments[:, :1]
-    rows = torch.cat((moments, moments.new_zeros(1, 10)))
-    rows = rows.index_select(0, level.neighbours.flatten()).view(-1, 27, 10)  # (n, 27, 10)
-    near = rows[..., 1:4] / rows[..., :1].clamp_min(1e-6)
-    width = NEIGHBOURHOOD * level.cell_size
-    exponent = (near - centroid[:, None]).square().sum(-1) * (-0.5 / width**2)
-    weight = exponent.clamp_min(NEGLIGIBLE).exp()
-    return (weight[..., None] * rows).sum(1)  # not a matrix product: autocast must not halve it
