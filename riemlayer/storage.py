@@ -78,7 +78,9 @@ class Pretrained(ModelHubMixin, library_name="riemlayer", tags=["geometry"]):
                 f"differ, such as {other[0]} of shape {got.get(other[0])}, expected "
                 f"{expected.get(other[0])}; load them with the {card.name} saved beside them"
             )
-        field.load_state_dict({k: x.float() for k, x in state.items()})  # pyright: ignore
+        double = any(x.dtype == torch.float64 for x in state.values())
+        field.to(torch.float64 if double else torch.float32)  # pyright: ignore
+        field.load_state_dict(state)  # pyright: ignore
         return field.eval()  # pyright: ignore
 
 

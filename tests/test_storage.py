@@ -57,6 +57,14 @@ def test_weights_in_half_precision_are_loaded_in_single(field, tmp_path):
     assert card == {"config": json.loads(json.dumps(field.config.to_dict())), **facts}
 
 
+def test_a_double_field_comes_back_double(field, tmp_path):
+    twin = type(field)(field.config).double()
+    twin.save_pretrained(tmp_path)
+    loaded = type(field).from_pretrained(tmp_path)
+    for name, x in twin.state_dict().items():
+        assert torch.equal(loaded.state_dict()[name], x)
+
+
 def test_saving_leaves_the_field_as_it_was(field, tmp_path):
     field.train()
     before = {name: x.clone() for name, x in field.state_dict().items()}
