@@ -207,7 +207,7 @@ def tracing_run(points: Tensor, count: int) -> tasks.Run:
     """Walking of `count` vectors from one source, with search tree and planes ready."""
     method, cloud = Walking(), points.numpy()
     method.prepare(cloud)
-    vectors = tasks.tangent_vectors(count, 0.5).numpy()
+    vectors = tasks.tangent_vectors(points[:1], count, 0.5)[0].numpy()
     return lambda: method.exp(cloud[0], vectors)
 
 

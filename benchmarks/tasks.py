@@ -70,7 +70,8 @@ def log(field: ExpLogField, points: Tensor, count: int = 10_000) -> Run:
 def exp(field: ExpLogField, points: Tensor, count: int = 1_000) -> Run:
     """Exp of `count` vectors of up to the trained radius from one source."""
     surface = field.encode(points)
-    p, v = points[:1], tangent_vectors(count, float(surface.radius))
+    p = points[:1]
+    v = tangent_vectors(p, count, float(surface.radius)).squeeze(0)
     return lambda: surface.exp(p, v)
 
 
@@ -114,16 +115,20 @@ def training_step(
 
 def truth_like(points: Tensor, queries: int, radius: float) -> Truth:
     """Something of the form of ground truth: speed does not depend on what is true."""
-    p, v = points[:SOURCES], tangent_vectors(SOURCES * queries, radius).view(SOURCES, queries, 3)
+    p = points[:SOURCES]
+    v = tangent_vectors(p, queries, radius)
     known = torch.ones(SOURCES, queries, dtype=torch.bool)
     return Truth(p, v, p[:, None] + v, known, known, torch.zeros(SOURCES, dtype=torch.long))
 
 
-def tangent_vectors(count: int, radius: float) -> Tensor:
-    """Vectors (count, 3) in all directions, up to `radius` long."""
+def tangent_vectors(p: Tensor, count: int, radius: float) -> Tensor:
+    """Vectors (S, count, 3), up to `radius` long, tangent to the torus at `p` (S, 3)."""
+    ring = 2 / 3 * torch.nn.functional.normalize(p * p.new_tensor([1, 1, 0]), dim=-1)
+    normal = torch.nn.functional.normalize(p - ring, dim=-1)[:, None]
     generator = torch.Generator().manual_seed(1)
-    directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
-    return radius * directions * torch.rand(count, 1, generator=generator)
+    v = torch.randn(len(p), count, 3, generator=generator)
+    v = torch.nn.functional.normalize(v - (v * normal).sum(-1, keepdim=True) * normal, dim=-1)
+    return radius * v * torch.rand(len(p), count, 1, generator=generator)
 
 
 def main() -> None:

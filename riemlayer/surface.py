@@ -18,8 +18,8 @@ from riemlayer.queries import in_chunks, lay_out, value_and_jacobian
 if TYPE_CHECKING:
     from riemlayer.field import ExpLogField
 
-CHUNK = 1 << 15
-"""Default number of queries that are decoded at once: about 200 MB of intermediate results."""
+CHUNK = 1 << 14
+"""Default number of queries that are decoded at once: about 100 MB of intermediate results."""
 SOURCES = 2048
 """Sources whose planes are in memory at once (24 KB each in float32)."""
 

@@ -10,7 +10,7 @@ from benchmarks import scaling, speed
 from benchmarks.measure import median_seconds
 from benchmarks.scaling import Line, Sample
 from benchmarks.speed import Row, table
-from benchmarks.tasks import load_field, neighbours, torus
+from benchmarks.tasks import load_field, neighbours, tangent_vectors, torus
 
 
 def test_torus_lies_in_the_cube_on_the_torus():
@@ -18,6 +18,15 @@ def test_torus_lies_in_the_cube_on_the_torus():
     ring = torch.stack((x[:, :2].norm(dim=-1) - 2 / 3, x[:, 2]), -1)
     torch.testing.assert_close(ring.norm(dim=-1), torch.full((2_000,), 1 / 3))
     assert x.abs().max() <= 1
+
+
+def test_vectors_are_tangent_to_the_torus():
+    p = torus(5)
+    v = tangent_vectors(p, 100, 0.5)
+    q = p[:, None] + 1e-3 * v
+    ring = torch.stack((q[..., :2].norm(dim=-1) - 2 / 3, q[..., 2]), -1)
+    assert (ring.norm(dim=-1) - 1 / 3).abs().max() < 1e-6  # leaves it with the square of the step
+    assert v.norm(dim=-1).max() <= 0.5
 
 
 def test_neighbours_are_the_nearest_points():
