@@ -15,6 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
 COLUMNS = (
+    ("mdd", "E_MDD", 3),
     ("mdd_clip", "E_MDD, edges clipped at 1", 3),
     ("angle", "E_angle (degrees)", 1),
     ("log_end", "Log error at end points", 4),
@@ -84,8 +85,12 @@ BLOCKS: dict[str, Callable[[], str]] = {"accuracy": accuracy, "speed": speed, "c
 def filled(text: str) -> str:
     """`text` with every marked block replaced by what the results say now."""
     for name, make in BLOCKS.items():
-        pattern = rf"(<!-- {name} -->\n).*?(\n<!-- end {name} -->)"
-        text = re.sub(pattern, lambda m, make=make: m[1] + make() + m[2], text, flags=re.S)
+        pattern = rf"(<!-- {name} -->\n).*?(<!-- end {name} -->)"
+        text, count = re.subn(
+            pattern, lambda m, make=make: f"{m[1]}{make()}\n{m[2]}", text, flags=re.S
+        )
+        if count != 1:
+            raise ValueError(f"README must hold one block {name!r}, found {count}")
     return text
 
 
