@@ -42,7 +42,8 @@ class ExponentialAverage(L.Callback):
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: Any) -> None:
         """Exports the average and puts the weights back."""
-        if self.average and self.export and not trainer.sanity_checking:
+        writes = trainer.is_global_zero and not trainer.sanity_checking
+        if self.average and self.export and writes:
             pl_module.field.save_pretrained(Path(self.export))
         if self._own:
             pl_module.field.load_state_dict(self._own)

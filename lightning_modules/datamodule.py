@@ -41,15 +41,18 @@ def collate(samples: list[TrainingSample]) -> Batch:
 class SeededSampler(Sampler[tuple[int, int]]):
     """Endless-looking epochs of (index, seed), a function of (seed, epoch) alone.
 
-    A run that starts again at step n of an epoch draws what the undisturbed run drew there.
+    A run that starts again at step n of an epoch draws what the undisturbed run drew there. Each of
+    `world` ranks draws every world-th item, so together they draw an epoch once; the last
+    size % world items of an order, which differ from epoch to epoch, wait for the next.
     """
 
-    def __init__(self, size: int, seed: int, shuffle: bool) -> None:
+    def __init__(self, size: int, seed: int, shuffle: bool, rank: int = 0, world: int = 1) -> None:
         self.size, self.seed, self.shuffle = size, seed, shuffle
+        self.rank, self.world = rank, world
         self.epoch, self.begun = 0, (0, 0)
 
     def __len__(self) -> int:
-        return self.size
+        return self.size // self.world
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         epoch = self.epoch if self.shuffle else 0
@@ -62,14 +65,15 @@ class SeededSampler(Sampler[tuple[int, int]]):
         seeds = torch.randint(1 << 60, (self.size,), generator=generator)
         resumed, seen = self.begun
         start = seen if self.shuffle and epoch == resumed else 0
-        yield from zip(order[start:].tolist(), seeds[start:].tolist(), strict=True)
+        own = slice(start + self.rank, self.world * len(self), self.world)
+        yield from zip(order[own].tolist(), seeds[own].tolist(), strict=True)
 
     def set_epoch(self, epoch: int) -> None:
         """Called by the trainer before each epoch."""
         self.epoch = epoch
 
     def resume(self, epoch: int, seen: int) -> None:
-        """Go on in an epoch of which `seen` items have been drawn."""
+        """Go on in an epoch of which all ranks together have drawn `seen` items."""
         self.epoch, self.begun = epoch, (epoch, seen)
 
 
@@ -113,7 +117,7 @@ class ExpLogDataModule(L.LightningDataModule):
         self.train = ShapeDataset(train, self.augmentation, self.sources, self.vectors)
         still = Augmentation.none()
         self.held = ShapeDataset(held[: self.limit_validation], still, self.sources, self.vectors)
-        self.sampler = SeededSampler(len(train), self.seed, shuffle=True)
+        self.sampler = self._sampler(len(train), shuffle=True)
 
     def train_dataloader(self) -> DataLoader:
         """Shapes in a new order each epoch."""
@@ -121,7 +125,13 @@ class ExpLogDataModule(L.LightningDataModule):
 
     def val_dataloader(self) -> DataLoader:
         """The held-out shapes, always the same queries."""
-        return self._loader(self.held, SeededSampler(len(self.held), self.seed, shuffle=False))
+        return self._loader(self.held, self._sampler(len(self.held), shuffle=False))
+
+    def _sampler(self, size: int, shuffle: bool) -> SeededSampler:
+        rank, world = (
+            (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
+        )
+        return SeededSampler(size, self.seed, shuffle, rank, world)
 
     def _loader(self, data: ShapeDataset, sampler: SeededSampler | None) -> DataLoader:
         return DataLoader(
@@ -147,7 +157,7 @@ class ExpLogDataModule(L.LightningDataModule):
         progress: Any = trainer.fit_loop.epoch_loop.batch_progress.current
         return {
             "epoch": trainer.current_epoch,
-            "seen": progress.processed * self.batch_size,
+            "seen": progress.processed * self.batch_size * trainer.world_size,
             "size": len(self.train),
         }
 

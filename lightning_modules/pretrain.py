@@ -72,7 +72,7 @@ class ExpLogPretraining(L.LightningModule):
             "val/exp_near": off_exp[near].mean(),
             "val/log_near": off_log[near].mean(),
         }
-        self.log_dict(metrics, prog_bar=True, batch_size=len(truth.p))
+        self.log_dict(metrics, prog_bar=True, batch_size=len(truth.p), sync_dist=True)
 
     def configure_gradient_clipping(
         self,

@@ -20,8 +20,8 @@ TRAINED = 1.06
 STEEPNESS = 50.0
 """Fall of the validity's logit a radius beyond that."""
 ROWS = 3072
-"""Queries whose hidden features are made at once where no gradient is asked for: the 1.5 MB that
-they take in bfloat16 stay in a core's cache."""
+"""Queries whose hidden features are made at once where no gradient is asked for: what they take
+stays in a core's cache."""
 
 
 class Embedding(NamedTuple):

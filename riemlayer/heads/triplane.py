@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from riemlayer.numerics import weighted_rows
 
@@ -16,8 +19,9 @@ FEW = 16
 def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     """Bilinear features of queries on three planes (Sec. 3.2, step 2).
 
-    Gather-based, because `F.grid_sample` has no forward-mode derivative. Corners are aligned: -1
-    and 1 are the outermost samples. A query outside [-1, 1] takes the value at the border.
+    Corners are aligned: -1 and 1 are the outermost samples. A query outside [-1, 1] takes the value
+    at the border. Derivatives are gather-based, because `F.grid_sample`, four times faster, has
+    neither a forward mode nor a second derivative.
 
     Args:
         planes: (S, 3, R, R, C), the last two axes before C indexed by the coordinates of `PLANES`.
@@ -28,6 +32,9 @@ def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     >>> sample_triplane(torch.ones(2, 3, 4, 4, 5), torch.rand(2, 7, 3)).shape
     torch.Size([2, 7, 15])
     """
+    if not torch.is_grad_enabled():
+        with suppress(NotImplementedError):  # forward mode, which goes on below
+            return _sample_fused(planes, x)
     s, _, r, _, c = planes.shape
     t = (x.movedim(-1, 0).clamp(-1, 1) + 1) * ((r - 1) / 2)  # (3, S, K): columns are faster
     low = t.detach().int().clamp_max(r - 2)
@@ -40,6 +47,14 @@ def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     rows, weight = (y.permute(2, 3, 1, 0).reshape(-1, 4) for y in (rows, weight))
     table = planes.reshape(-1, c).to(x.dtype)
     return weighted_rows(table, rows, weight).view(*x.shape[:2], 3 * c)
+
+
+def _sample_fused(planes: Tensor, x: Tensor) -> Tensor:
+    s, _, _, _, c = planes.shape
+    grid = torch.stack([x[..., [j, i]] for i, j in PLANES], 1).flatten(0, 1)[:, None]
+    table = planes.to(x.dtype).flatten(0, 1).permute(0, 3, 1, 2)  # (3 S, C, R, R)
+    features = F.grid_sample(table, grid, padding_mode="border", align_corners=True)
+    return features.view(s, 3 * c, -1).mT
 
 
 def _on_planes(y: Tensor) -> tuple[Tensor, Tensor]:

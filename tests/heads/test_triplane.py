@@ -17,10 +17,23 @@ def queries(s: int = 2, k: int = 50, reach: float = 1.0) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("r", [2, 5, 16])
-def test_values_are_those_of_grid_sample(r):
+@pytest.mark.parametrize("mode", [torch.enable_grad, torch.no_grad])
+def test_values_are_those_of_grid_sample(r, mode):
     planes, x = random_planes(r=r), queries(reach=1.5)
     expected = grid_sample_triplane(planes, x)
-    torch.testing.assert_close(sample_triplane(planes, x), expected, rtol=0, atol=1e-12)
+    with mode():
+        torch.testing.assert_close(sample_triplane(planes, x), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", [torch.enable_grad, torch.no_grad])
+def test_forward_mode_works_with_and_without_a_graph(mode):
+    planes, x = random_planes(), queries(reach=0.9)
+    step = torch.randn_like(x)
+    with mode():
+        value, tangent = torch.func.jvp(lambda y: sample_triplane(planes, y), (x,), (step,))
+    ahead, behind = (sample_triplane(planes, x + e * step) for e in (1e-7, -1e-7))
+    torch.testing.assert_close(value, sample_triplane(planes, x))
+    torch.testing.assert_close(tangent, (ahead - behind) / 2e-7, rtol=1e-5, atol=1e-5)
 
 
 def test_gradients_are_those_of_grid_sample():

@@ -38,7 +38,7 @@ def test_average_is_that_of_a_loop():
 
 def test_validation_sees_and_exports_the_average_and_training_goes_on_without(tmp_path):
     callback, module = ExponentialAverage(decay=0.5, export=str(tmp_path)), Stub()
-    trainer = SimpleNamespace(global_step=1, sanity_checking=False)
+    trainer = SimpleNamespace(global_step=1, sanity_checking=False, is_global_zero=True)
     step(callback, module, 1, 2.0)
     step(callback, module, 2, 8.0)
     average = callback.average["weight"].clone()
@@ -53,7 +53,7 @@ def test_validation_sees_and_exports_the_average_and_training_goes_on_without(tm
 def test_a_sanity_check_before_the_first_step_changes_nothing(tmp_path):
     callback, module = ExponentialAverage(export=str(tmp_path)), Stub()
     before = module.field.weight.detach().clone()
-    trainer = SimpleNamespace(global_step=0, sanity_checking=True)
+    trainer = SimpleNamespace(global_step=0, sanity_checking=True, is_global_zero=True)
     callback.on_validation_start(trainer, module)  # pyright: ignore
     callback.on_validation_end(trainer, module)  # pyright: ignore
     assert torch.equal(module.field.weight, before) and not module.saved

@@ -44,6 +44,18 @@ def test_a_resumed_epoch_goes_on_and_the_next_is_whole():
     assert epoch(resumed, 5) == epoch(whole, 5)
 
 
+@pytest.mark.parametrize("size", [10, 11])
+def test_ranks_share_an_epoch_without_duplicates(size):
+    whole = SeededSampler(size, seed=3, shuffle=True)
+    ranks = [SeededSampler(size, 3, True, rank, world=2) for rank in range(2)]
+    drawn = [epoch(rank, 1) for rank in ranks]
+    assert [len(x) for x in drawn] == [len(rank) for rank in ranks] == [5, 5]
+    assert [item for pair in zip(*drawn, strict=True) for item in pair] == epoch(whole, 1)[:10]
+    for rank in ranks:
+        rank.resume(1, seen=6)
+    assert [epoch(rank, 1) for rank in ranks] == [x[3:] for x in drawn]
+
+
 def sample(n: int, s: int) -> TrainingSample:
     flags = torch.ones(s, 4, dtype=torch.bool)
     p, v, q = torch.rand(s, 3), torch.rand(s, 4, 3), torch.rand(s, 4, 3)
