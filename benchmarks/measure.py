@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
@@ -12,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 
-import torch
+from riemlayer.tables.machine import machine as machine
 
 ROOT = Path(__file__).parents[1]
 
@@ -58,19 +57,6 @@ def memory(entry: str) -> float:
     raise RuntimeError(f"peak memory needs {entry} in {status} (Linux); run with --no-memory")
 
 
-def machine(threads: int) -> dict[str, object]:
-    """What the numbers depend on."""
-    return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": threads,
-        "load_before": round(os.getloadavg()[0], 2),
-        "bfloat16": bool(torch.cpu._is_avx512_bf16_supported()),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
-
-
 def warn_if_busy() -> None:
     """Says so when other processes compete for the cores."""
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
@@ -87,10 +73,3 @@ def write_results(folder: Path, name: str, results: dict, table: str) -> None:
         temporary.write_text(text + "\n")
         temporary.replace(path)
     print(f"{table}\n\nwritten to {folder}/{name}.json and {name}.md")
-
-
-def _processor() -> str:
-    path = Path("/proc/cpuinfo")
-    lines = path.read_text().splitlines() if path.is_file() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()

@@ -155,10 +155,12 @@ class ExpLogDataModule(L.LightningDataModule):
         if trainer is None:
             return {}
         progress: Any = trainer.fit_loop.epoch_loop.batch_progress.current
+        a_step = self.batch_size * trainer.world_size
         return {
             "epoch": trainer.current_epoch,
-            "seen": progress.processed * self.batch_size * trainer.world_size,
+            "seen": progress.processed * a_step,
             "size": len(self.train),
+            "shapes_a_step": a_step,
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,11 +19,12 @@ class Neural:
 
     Args:
         field: the field; it is asked in evaluation mode and left in the mode it was in.
-        name: what `repr` shows, such as the file its weights came from.
+        name: what `repr` shows, such as the file its weights came from, beside their checksum.
     """
 
     def __init__(self, field: ExpLogField, name: str = "field"):
         self._field, self._name = field, name
+        self._fingerprint = fingerprint(field)
 
     @classmethod
     def from_pretrained(cls, weights: str) -> Neural:
@@ -32,7 +34,7 @@ class Neural:
         return cls(ExpLogField.from_pretrained(weights), weights)
 
     def __repr__(self) -> str:
-        return f"Neural({self._name!r})"
+        return f"Neural({self._name!r}, {self._fingerprint:08x})"
 
     @torch.inference_mode()
     def prepare(self, points: Array) -> None:
@@ -52,6 +54,15 @@ class Neural:
     def log(self, p: Array, q: Array) -> Array:
         """Log_p(q) of the field."""
         return self._surface.log(_tensor(p), _tensor(q)).numpy()
+
+
+def fingerprint(field: ExpLogField) -> int:
+    """CRC-32 of the configuration and all weights (ours)."""
+    crc = zlib.crc32(repr(field.config).encode())
+    for name, weight in field.state_dict().items():
+        crc = zlib.crc32(name.encode(), crc)
+        crc = zlib.crc32(weight.contiguous().cpu().flatten().view(torch.uint8).numpy(), crc)
+    return crc
 
 
 def _tensor(x: Array) -> torch.Tensor:

@@ -1,16 +1,19 @@
 """A run that was killed and started again trains exactly as the undisturbed one."""
 
+import json
 import math
 
 import lightning as L
 import pytest
 import torch
-from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.callbacks import ModelCheckpoint, Timer
 from references import fibonacci_sphere
+from safetensors.torch import load_file
 from scipy.spatial import ConvexHull
 from torch import Tensor
 
 from lightning_modules import ExpLogDataModule, ExpLogPretraining, ExponentialAverage
+from lightning_modules.export import export
 from riemlayer import ExpLogField
 from riemlayer.data.augment import Augmentation
 from riemlayer.data.closed_form import Sphere
@@ -44,7 +47,8 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("samples")
     for i in range(6):
         sample = {name: x.numpy() for name, x in sphere_sample(i).items()}
-        write_sample(folder / f"sphere{i}.safetensors", sample, {"name": f"sphere{i}"})
+        metadata = {"name": f"sphere{i}", "source": f"spheres/{i}"}
+        write_sample(folder / f"sphere{i}.safetensors", sample, metadata)
     return folder
 
 
@@ -79,7 +83,7 @@ def run(folder, where, kill_at: int | None = None, resume: bool = False) -> Watc
         check_val_every_n_epoch=None,
         num_sanity_val_steps=0,
         gradient_clip_val=1.0,
-        callbacks=[ExponentialAverage(0.9, str(where / "average")), watch, keep],
+        callbacks=[ExponentialAverage(0.9, str(where / "average")), Timer(), watch, keep],
         logger=False,
         enable_progress_bar=False,
         enable_model_summary=False,
@@ -101,6 +105,7 @@ def run(folder, where, kill_at: int | None = None, resume: bool = False) -> Watc
 def undisturbed(folder, tmp_path_factory) -> Watch:
     where = tmp_path_factory.mktemp("undisturbed")
     watch = run(folder, where)
+    watch.checkpoint = where / "last.ckpt"
     watch.average = ExpLogField.from_pretrained(where / "average").state_dict()
     return watch
 
@@ -129,3 +134,23 @@ def test_a_killed_run_goes_on_to_the_same_losses(folder, undisturbed, tmp_path, 
     average = ExpLogField.from_pretrained(tmp_path / "average").state_dict()
     for name, x in average.items():
         assert torch.equal(x, undisturbed.average[name]), name
+
+
+def test_exported_weights_are_the_average_and_the_card_counts(folder, undisturbed, tmp_path):
+    card = export(undisturbed.checkpoint, tmp_path / "w.safetensors", {"limits": "x"}, [folder])
+    facts = json.loads(card.read_text())
+    training = facts["training"]
+    assert (training["steps"], training["shapes_a_step"]) == (STEPS, 1)
+    assert training["shapes"] == {"spheres": 6} and facts["limits"] == "x"
+    assert 0 <= training["hours"] < 1
+    saved = load_file(tmp_path / "w.safetensors")
+    state = torch.load(undisturbed.checkpoint, weights_only=False)
+    (average,) = (x["average"] for x in state["callbacks"].values() if "average" in x)
+    assert saved.keys() == average.keys()
+    assert all(torch.equal(saved[k], x.half()) for k, x in average.items())
+
+
+def test_a_checkpoint_of_something_else_is_refused(tmp_path):
+    torch.save({"hyper_parameters": {}}, tmp_path / "other.ckpt")
+    with pytest.raises(ValueError, match="not written by ExpLogPretraining"):
+        export(tmp_path / "other.ckpt", tmp_path / "w.safetensors", {})

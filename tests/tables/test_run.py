@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from benchmarks import dev_table
-from benchmarks.dev_table import Cache, find_shapes, run
-from benchmarks.evaluate import Shape, evaluate, pool, summarise, tangent_frame
-from riemlayer.baselines import MeshTracer, TrueLog
+from riemlayer import ExpLogField
+from riemlayer.baselines import MeshTracer, Neural, TrueLog
+from riemlayer.tables import __main__ as command
+from riemlayer.tables.evaluate import Shape, evaluate, pool, summarise, tangent_frame
+from riemlayer.tables.run import Rows, find_shapes, run
 
 
 class Straight:
@@ -149,7 +151,7 @@ def test_a_source_that_has_nothing_to_measure_is_left_out():
 
 def test_a_failure_is_listed_with_its_reason_and_not_averaged(directory):
     methods = {"straight": Straight(), "broken": Broken()}
-    results = run(find_shapes(directory, ["flat"], None), methods, None, Cache(None))
+    results = run(find_shapes(directory, ["flat"], None), methods, None, Rows())
     assert set(results["broken"]["failed"]) == {"flat/a", "flat/b"}
     assert "`prediction` must be finite" in results["broken"]["failed"]["flat/a"]
     assert results["broken"]["groups"]["flat"] == {"shapes": 0}
@@ -158,22 +160,22 @@ def test_a_failure_is_listed_with_its_reason_and_not_averaged(directory):
 
 def test_mesh_methods_run_where_the_cloud_has_faces(directory):
     methods = {"tracer": MeshTracer()}
-    results = run(find_shapes(directory, None, None), methods, 1, Cache(None))
+    results = run(find_shapes(directory, None, None), methods, 1, Rows())
     assert results["tracer"]["groups"]["flat"]["r0.25"]["exp"] < 1e-5
     assert results["tracer"]["groups"]["loose"] == {"shapes": 0}
     assert not results["tracer"]["failed"]
 
 
-def test_the_cache_is_asked_before_the_rival(directory, tmp_path):
-    shapes, path = find_shapes(directory, ["flat"], 1), tmp_path / "cache.json"
+def test_a_known_row_is_not_computed_again(directory, tmp_path):
+    shapes, path = find_shapes(directory, ["flat"], 1), tmp_path / "rows.jsonl"
     first, second, third = Straight(), Straight(), Straight()
-    a = run(shapes, {"straight": first}, 1, Cache(path))
-    b = run(shapes, {"straight": second}, 1, Cache(path))
+    a = run(shapes, {"straight": first}, 1, Rows(path))
+    b = run(shapes, {"straight": second}, 1, Rows(path))
     assert (first.prepared, second.prepared) == (1, 0)
     assert a == b
     arrays = flat_shape() | {"points": flat_shape()["V"][::3]}
     np.savez(directory / "flat" / "a.npz", **arrays)  # the shape changes, so its row must
-    run(shapes, {"straight": third}, 1, Cache(path))
+    run(shapes, {"straight": third}, 1, Rows(path))
     assert third.prepared == 1
 
 
@@ -186,26 +188,65 @@ def test_every_source_of_a_group_weighs_the_same():
     assert mean == {"r0.5": {"mdd": 4.0, "exp": 4.0}, "time": {"log": 2.0}}
 
 
-def test_the_command_prints_a_table_and_writes_json(directory, tmp_path, capsys):
-    output = tmp_path / "out.json"
-    dev_table.main(
+def test_a_run_cut_off_goes_on_where_it_stopped(directory, tmp_path):
+    class Killed(Straight):
+        def prepare(self, points):
+            super().prepare(points)
+            if self.prepared == 2:
+                raise KeyboardInterrupt
+
+    shapes, path = find_shapes(directory, ["flat"]), tmp_path / "rows.jsonl"
+    with pytest.raises(KeyboardInterrupt):
+        run(shapes, {"s": Killed()}, 1, Rows(path))
+    path.write_bytes(path.read_bytes() + b'{"key": "cut of')
+    again, rows = Straight(), Rows(path)
+    results = run(shapes, {"s": again}, 1, rows)
+    assert (again.prepared, rows.hits, results["s"]["groups"]["flat"]["shapes"]) == (1, 1, 2)
+    last = Straight()
+    run(shapes, {"s": last}, 1, Rows(path))
+    assert last.prepared == 0
+
+
+def test_other_weights_are_another_row():
+    torch.manual_seed(0)
+    a, b = (Neural(ExpLogField.from_preset("tiny"), "same") for _ in range(2))
+    twin = ExpLogField.from_preset("tiny")
+    twin.load_state_dict(a._field.state_dict())
+    assert repr(a) != repr(b)
+    assert repr(a) == repr(Neural(twin, "same"))
+
+
+def test_the_command_writes_the_tables(directory, tmp_path, capsys):
+    out = tmp_path / "out"
+    command.main(
         f"{directory} --methods projection,tracing,floor --groups flat --sources 1 --limit 1 "
-        f"-o {output}".split()
+        f"--no-figures -o {out}".split()
     )
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split()[:5] == ["flat,", "r0.5", "E_MDD", "MDD<=1", "E_angle"]
-    assert [line.split()[0] for line in lines[1:4]] == ["projection", "tracing", "floor"]
-    written = json.loads(output.read_text(), parse_constant=pytest.fail)
+    assert lines[0].startswith("| flat | E_MDD | E_MDD, edges clipped at 1 | E_angle")
+    assert [line.split("|")[1].strip()[:5] for line in lines[2:5]] == ["Proje", "Traci", "the t"]
+    written = json.loads((out / "tables.json").read_text(), parse_constant=pytest.fail)
     assert set(written["methods"]) == {"projection", "tracing", "floor"}
     assert list(written["methods"]["floor"]["shapes"]["flat"]) == ["a"]
+    text = (out / "tables.md").read_text()
+    assert "radius 0.1, shortest geodesics only" in text and "paper: ours" in text
 
 
-def test_what_the_command_cannot_do_it_says(directory, tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        dev_table.main([str(directory), "--methods", "heet"])
-    assert "--methods must be among heat, " in capsys.readouterr().err
-    with pytest.raises(ValueError, match=r"found none in \['nowhere'\]"):
-        dev_table.main([str(directory), "--methods", "floor", "--groups", "nowhere"])
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("--methods heet", "methods must be among heat, "),
+        ("--methods floor --groups nowhere", r"found none in \['nowhere'\]"),
+    ],
+)
+def test_what_the_command_cannot_do_it_says(directory, arguments, words):
+    with pytest.raises(SystemExit, match=words):
+        command.main([str(directory), *arguments.split()])
+
+
+def test_a_folder_that_is_none_is_named(tmp_path):
+    with pytest.raises(SystemExit, match=r"folder of meshes or prepared shapes, got .*nowhere"):
+        command.main([str(tmp_path / "nowhere")])
 
 
 @pytest.mark.parametrize("content", ["arrays", "text", "nothing"])
@@ -215,16 +256,16 @@ def test_a_file_that_is_no_shape_is_listed_and_the_rest_measured(directory, cont
         np.savez(path, V=np.zeros((3, 3)))
     else:
         path.write_text("no archive" if content == "text" else "")
-    results = run(find_shapes(directory, ["flat"], None), {"s": Straight()}, 1, Cache(None))
+    results = run(find_shapes(directory, ["flat"], None), {"s": Straight()}, 1, Rows())
     assert list(results["s"]["failed"]) == ["flat/bad"]
     assert results["s"]["groups"]["flat"]["shapes"] == 2
 
 
 def test_a_failure_is_tried_again_by_the_next_run(directory, tmp_path):
-    cache = Cache(tmp_path / "cache.json")
-    run(find_shapes(directory, ["flat"], 1), {"broken": Broken()}, 1, cache)
+    rows = Rows(tmp_path / "rows.jsonl")
+    run(find_shapes(directory, ["flat"], 1), {"broken": Broken()}, 1, rows)
     again = Broken()
-    run(find_shapes(directory, ["flat"], 1), {"broken": again}, 1, cache)
+    run(find_shapes(directory, ["flat"], 1), {"broken": again}, 1, rows)
     assert again.prepared == 1
 
 

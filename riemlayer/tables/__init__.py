@@ -1,0 +1,1 @@
+"""The paper's tables: every system on shapes that training never saw (Sec. 4, appendices D to G)."""

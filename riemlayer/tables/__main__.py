@@ -1,0 +1,133 @@
+"""The paper's tables by one command: every system on shapes that training never saw.
+
+    python -m riemlayer.tables                    procedural shapes, made on the spot
+    python -m riemlayer.tables DIR                prepared shapes <group>/<name>.npz, or meshes
+    python -m riemlayer.tables DIR --fast         a first look in a minute
+
+Writes tables.md, tables.json and the figures to the output folder. A run that was cut off goes on
+at the shape where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from riemlayer.tables import render
+from riemlayer.tables.machine import machine
+from riemlayer.tables.run import VERSION, Results, Rows, find_shapes, run, write_json
+from riemlayer.tables.systems import systems
+
+METHODS = "base,heat,projection,tracing,mesh-affine,mesh-heat,mesh-tracer,floor"
+FAST_SOURCES = 2
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """The command."""
+    options = _parser().parse_args(argv)
+    out: Path = options.out
+    try:
+        folder = _prepared(options.directory, out / "shapes", options.fast)
+        groups = options.groups.split(",") if options.groups else None
+        limit = options.limit or (1 if options.fast else None)
+        sources = options.sources or (FAST_SOURCES if options.fast else None)
+        shapes = find_shapes(folder, groups, limit)
+        fields = {"base": options.weights} | ({"paper": options.paper} if options.paper else {})
+        methods = systems([*options.methods.split(","), *list(fields)[1:]], fields)
+    except (ValueError, FileNotFoundError) as error:
+        raise SystemExit(f"riemlayer.tables: {error}") from error
+    rows = Rows(out / "rows.jsonl")
+    results = run(shapes, methods, sources, rows)
+    facts = machine(torch.get_num_threads())
+    text = render.report(results, facts, rows.hits)
+    written = {"version": VERSION, "machine": facts, "kept": rows.hits, "methods": results}
+    if options.ablations:
+        ablations, table = ablated(options.ablations, shapes, sources, rows)
+        written, text = written | {"ablations": ablations}, f"{text}\n{table}\n"
+    write_json(out / "tables.json", written)
+    (out / "tables.md").write_text(text, "utf-8")
+    for group in shapes:
+        print(render.group_table(results, group), end="\n\n")
+    print(render.at_p_table(results), end="\n\n")
+    for line in render.failures(results):
+        print(f"FAILED {line}")
+    if not options.no_figures:
+        draw(written, out)
+    print(f"written to {out}/tables.md, tables.json")
+
+
+def ablated(
+    folder: Path, shapes: dict[str, list[Path]], sources: int | None, rows: Rows
+) -> tuple[dict, str]:
+    """Tables 3, 5 and ours: the fields that `lightning_modules.ablation` trained, on one group.
+
+    Raises:
+        FileNotFoundError: the folder holds no ablation.json.
+    """
+    facts = json.loads((folder / "ablation.json").read_text("utf-8"))["variants"]
+    group = "manmade" if "manmade" in shapes else next(iter(shapes))
+    weights = {name: str(folder / name) for name in facts}
+    results = run({group: shapes[group]}, systems(list(weights), weights), sources, rows)
+    tables = {}
+    for name, row in facts.items():
+        tables.setdefault(row["table"], []).append(name)
+    parts = [
+        render.ablation_table(results, facts, variants, group, title)
+        for title, variants in tables.items()
+    ]
+    return {"facts": facts, "group": group, "methods": results}, "\n\n".join(parts)
+
+
+def draw(written: Results, out: Path) -> None:
+    """The figures that need no further measurement."""
+    from riemlayer.tables.figures import error_against_radius
+
+    error_against_radius(written, out / "error_against_radius.png")
+
+
+def _prepared(directory: Path | None, out: Path, fast: bool) -> Path:
+    """A folder of prepared shapes: the given one, or `out` filled from the given meshes."""
+    from riemlayer.tables.shapes import prepare_shapes, procedural_shapes
+
+    if directory is None:
+        procedural_shapes(2 if fast else 24, out)
+        return out
+    if not directory.is_dir():
+        raise ValueError(
+            f"directory must be a folder of meshes or prepared shapes, got {directory}"
+        )
+    if any(directory.glob("*/*.npz")):
+        return directory
+    prepare_shapes(directory, out)
+    return out
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m riemlayer.tables",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add(
+        "directory", type=Path, nargs="?", help="prepared shapes or meshes; procedural ones if none"
+    )
+    add("--fast", action="store_true", help="one shape a group, two sources a shape")
+    add("--groups", help="comma-separated; all")
+    add("--methods", default=METHODS, help="comma-separated (default %(default)s)")
+    add("--weights", default="base", help="name or folder of the field's weights (default base)")
+    add("--paper", help="folder of a trained `paper` preset, for a row of its own")
+    add("--ablations", type=Path, help="what lightning_modules.ablation wrote, for Tables 3 and 5")
+    add("--limit", type=int, help="shapes a group; all")
+    add("--sources", type=int, help="sources a shape; all")
+    add("--no-figures", action="store_true")
+    add("-o", "--out", type=Path, default=Path("tables"), help="output folder (default tables)")
+    return parser
+
+
+if __name__ == "__main__":
+    main()
