@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: help demo test lint types check train format setup clean
+.PHONY: help demo test lint types check tables train format setup clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | expand -t 10
@@ -26,6 +26,9 @@ types: $(STAMP)  ## static types
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 check: lint types test  ## everything that CI asks for, the demo apart
+
+tables: $(STAMP)  ## the paper's tables with every rival; DIR=shapes or meshes, FAST=1 for a first look
+	$(BIN)/python -m riemlayer.tables $(if $(DIR),"$(DIR)") $(if $(FAST),--fast) -o tables
 
 train: $(STAMP)  ## prepare SHAPES=1000 procedural shapes and train `base`; goes on where it stopped
 	$(BIN)/python -m riemlayer.data.prepare --procedural $(SHAPES) --seed 0 -o data_cache/procedural

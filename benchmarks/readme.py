@@ -12,50 +12,19 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from riemlayer.tables import render
+
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
-COLUMNS = (
-    ("mdd", "E_MDD", 3),
-    ("mdd_clip", "E_MDD, edges clipped at 1", 3),
-    ("angle", "E_angle (degrees)", 1),
-    ("log_end", "Log error at end points", 4),
-    ("exp", "E_Exp", 4),
-)
-METHODS = (
-    ("base", "**riemlayer `base`**"),
-    ("heat", "Heat, point cloud"),
-    ("projection", "Projection (Exp: and snap)"),
-    ("tracing", "Tracing (heuristic walking)"),
-    ("floor", "the true log map (floor)"),
-)
 
 
 def accuracy() -> str:
-    """Group means at radius 0.5 on the paper's mask, a table a group; the best of a column bold."""
-    table = json.loads((RESULTS / "accuracy.json").read_text("utf-8"))["methods"]
-    groups = next(iter(table.values()))["groups"]
-    lines = []
-    for group in groups:
-        rows = {name: table[name]["groups"][group]["r0.5"] for name, _ in METHODS if name in table}
-        rivals = {name: row for name, row in rows.items() if name != "floor"}
-        lines += [
-            f"| {group} | " + " | ".join(title for _, title, _ in COLUMNS) + " |",
-            "|---" * (1 + len(COLUMNS)) + "|",
-        ]
-        for name, title in METHODS:
-            if name in rows:
-                cells = [_cell(rows[name], rivals, key, digits) for key, _, digits in COLUMNS]
-                lines.append(f"| {title} | " + " | ".join(cells) + " |")
-        lines.append("")
-    return "\n".join(lines).rstrip()
-
-
-def _cell(row: dict, rivals: dict[str, dict], key: str, digits: int) -> str:
-    if row.get(key) is None:
-        return "–"
-    best = min(x[key] for x in rivals.values() if x.get(key) is not None)
-    text = f"{row[key]:.{digits}f}"
-    return f"**{text}**" if any(row is x for x in rivals.values()) and row[key] == best else text
+    """Group means at radius 0.5 on the paper's mask, a table a group, and Table 4."""
+    results = json.loads((RESULTS / "tables.json").read_text("utf-8"))["methods"]
+    groups = render.ordered(results)
+    return "\n\n".join(
+        [*(render.group_table(results, group) for group in groups), render.at_p_table(results)]
+    )
 
 
 def speed() -> str:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from riemlayer import checks
-from riemlayer.backbone import OctreeUNet
+from riemlayer.backbone import make_backbone
 from riemlayer.config import FieldConfig
 from riemlayer.geometry import local_planes
 from riemlayer.heads import Embedding, ExpHead, LogHead
@@ -56,7 +56,7 @@ class ExpLogField(Pretrained, nn.Module):
         super().__init__()
         self.config = config = config or FieldConfig.base()
         c = config.backbone.embedding
-        self.backbone = OctreeUNet(config.backbone)
+        self.backbone = make_backbone(config.backbone)
         self.narrow = nn.Linear(c, config.head.narrow) if config.head.narrow else None
         self.exp_head = ExpHead(c, config.radius, config.head)
         self.log_head = LogHead(c, config.radius, config.head)
@@ -89,7 +89,8 @@ class ExpLogField(Pretrained, nn.Module):
             batch = torch.zeros(len(points), dtype=torch.long, device=points.device)
         centre, scale = bounding_cubes(points, batch)
         x = (points - centre[batch]) / scale[batch][:, None]
-        return EncodedSurface(self, self.embed(x.clamp(-1, 1), batch), centre, scale)
+        embedding = self.embed(x.clamp(-1, 1), batch)
+        return EncodedSurface(self, embedding, centre, scale, points, batch)
 
     def encode_in_cube(self, points: Tensor, batch: Tensor) -> EncodedSurface:
         """Encode packed clouds that already lie in the cube, at the size they have there.
@@ -97,8 +98,8 @@ class ExpLogField(Pretrained, nn.Module):
         What training calls: clouds smaller than the cube stay smaller.
         """
         size = int(batch[-1]) + 1
-        embedding = self.embed(points, batch)
-        return EncodedSurface(self, embedding, points.new_zeros(size, 3), points.new_ones(size))
+        centre, scale = points.new_zeros(size, 3), points.new_ones(size)
+        return EncodedSurface(self, self.embed(points, batch), centre, scale, points, batch)
 
     def embed(self, points: Tensor, batch: Tensor) -> Embedding:
         """Embedding field of packed clouds (N, 3) that already lie in the cube."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, NamedTuple, overload
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypedDict, Unpack, overload
 
 import torch
 from torch import Tensor
 
 from riemlayer import checks
+from riemlayer.calculus import Calculus
 from riemlayer.heads import Embedding, MapOutput
 from riemlayer.octree import HALF_WIDTH, corners
 from riemlayer.queries import in_chunks, lay_out, value_and_jacobian
@@ -35,8 +36,15 @@ class MapInfo(NamedTuple):
     """Eq. (4): |Log_p(Exp_p(v)) - v| for Exp, |Exp_p(Log_p(q)) - q| for Log, user's units."""
 
 
+class How(TypedDict, total=False):
+    """What `exp` and `log` may be told besides their arguments."""
+
+    shape: Tensor | None
+    chunk_size: int
+
+
 @dataclass(frozen=True)
-class EncodedSurface:
+class EncodedSurface(Calculus):
     """A cloud after its one pass through the backbone: Exp and Log from any source point.
 
     Made by `ExpLogField.encode`. Points and vectors are in the user's units. `p` is always the
@@ -62,6 +70,10 @@ class EncodedSurface:
     """(B, 3) of each cloud's bounding box, in the user's units."""
     scale: Tensor
     """(B,) half the longest side of it."""
+    points: Tensor
+    """(N, 3) the packed clouds, in the user's units."""
+    batch: Tensor
+    """(N,) int64, cloud of each point."""
     only: int | None = None
     """Set for one cloud of a batch."""
 
@@ -92,23 +104,11 @@ class EncodedSurface:
 
     @overload
     def exp(
-        self,
-        p: Tensor,
-        v: Tensor,
-        *,
-        shape: Tensor | None = ...,
-        chunk_size: int = ...,
-        return_info: Literal[False] = ...,
+        self, p: Tensor, v: Tensor, *, return_info: Literal[False] = ..., **how: Unpack[How]
     ) -> Tensor: ...
     @overload
     def exp(
-        self,
-        p: Tensor,
-        v: Tensor,
-        *,
-        shape: Tensor | None = ...,
-        chunk_size: int = ...,
-        return_info: Literal[True],
+        self, p: Tensor, v: Tensor, *, return_info: Literal[True], **how: Unpack[How]
     ) -> tuple[Tensor, MapInfo]: ...
     def exp(
         self,
@@ -144,23 +144,11 @@ class EncodedSurface:
 
     @overload
     def log(
-        self,
-        p: Tensor,
-        q: Tensor,
-        *,
-        shape: Tensor | None = ...,
-        chunk_size: int = ...,
-        return_info: Literal[False] = ...,
+        self, p: Tensor, q: Tensor, *, return_info: Literal[False] = ..., **how: Unpack[How]
     ) -> Tensor: ...
     @overload
     def log(
-        self,
-        p: Tensor,
-        q: Tensor,
-        *,
-        shape: Tensor | None = ...,
-        chunk_size: int = ...,
-        return_info: Literal[True],
+        self, p: Tensor, q: Tensor, *, return_info: Literal[True], **how: Unpack[How]
     ) -> tuple[Tensor, MapInfo]: ...
     def log(
         self,
@@ -217,6 +205,25 @@ class EncodedSurface:
         v, jacobian = value_and_jacobian(lambda x: self.decode_log(p, x, shape, CHUNK)[0], q)
         return v, jacobian
 
+    def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Unit normals (..., 3) of the cloud's blended planes; their sign has no meaning (ours)."""
+        x, index = self._in_cube(p, shape)
+        return self.embedding.planes.normal(x, index).view(p.shape)
+
+    def snap(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Points (..., 3) dropped onto the cloud's blended planes, in three rounds (ours).
+
+        A point without a plane nearby starts from the nearest leaf's centre.
+        """
+        x, index = self._in_cube(p, shape)
+        x = self.embedding.planes.drop(x, index)
+        flat = self._shape_of(p, shape).expand(p.shape[:-1])
+        return self.centre[flat] + self.scale[flat][..., None] * x.view(p.shape)
+
+    def radius_at(self, p: Tensor, shape: Tensor | None = None) -> Tensor:
+        """Trained radius (...) of the cloud that each base point belongs to."""
+        return self.field.config.radius * self.scale[self._shape_of(p, shape)]
+
     def decode_exp(
         self, p: Tensor, v: Tensor, shape: Tensor | None = None, chunk_size: int = CHUNK
     ) -> tuple[Tensor, Tensor]:
@@ -264,12 +271,15 @@ class EncodedSurface:
         return shape
 
     def _in_support(self, p: Tensor, shape: Tensor | None, batch: torch.Size) -> Tensor:
-        index = self._shape_of(p, shape)
-        x = (p - self.centre[index]) / self.scale[index][..., None]
+        x, index = self._in_cube(p, shape)
         inside = (x.abs() <= HALF_WIDTH).all(-1)
-        flat = index.expand(inside.shape).flatten()
-        near = corners(self.embedding.level, x.reshape(-1, 3), flat).in_support
-        return (near.view(inside.shape) & inside).expand(batch)
+        near = corners(self.embedding.level, x, index).in_support
+        return (near & inside).view(p.shape[:-1]).expand(batch)
+
+    def _in_cube(self, p: Tensor, shape: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Points (Q, 3) in the cube, and the cloud (Q,) that each belongs to."""
+        index = self._shape_of(p, shape).expand(p.shape[:-1]).flatten()
+        return (p.reshape(-1, 3) - self.centre[index]) / self.scale[index][:, None], index
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> EncodedSurface:
         return replace(
@@ -277,4 +287,6 @@ class EncodedSurface:
             embedding=self.embedding.map(change),
             centre=change(self.centre),
             scale=change(self.scale),
+            points=change(self.points),
+            batch=change(self.batch),
         )

@@ -17,7 +17,7 @@ from riemlayer.numerics import (
     symmetric_eigenvalues,
     weighted_rows,
 )
-from riemlayer.octree import Level, Octree, corners
+from riemlayer.octree import Level, Octree, corners, nearest_node
 from riemlayer.octree.interpolate import corner_columns
 
 PARENT_POINTS = 0.2
@@ -100,6 +100,18 @@ class LocalPlanes(NamedTuple):
             coarse = torch.where((coarse == 0).all(-1, keepdim=True), z_axis, coarse)
             towards = towards.index_copy(0, lost, coarse)
         return self.at(p, batch, towards)[0]
+
+    def drop(self, x: Tensor, batch: Tensor, rounds: int = 3) -> Tensor:
+        """Points (Q, 3) moved onto the planes around them; from afar via the nearest node."""
+        near = torch.stack([level.nearest(x, batch) for level in self])
+        lost = (near == 0).all(-1).all(0).nonzero().squeeze(-1)
+        if len(lost):
+            node = nearest_node(self.fine.level, x.detach()[lost], batch[lost])
+            x = x.index_put((lost,), self.fine.plane[:3, node].T)
+        for _ in range(rounds):
+            normal, gap = self.at(x, batch, self.normal(x, batch))
+            x = x - gap * normal
+        return x
 
     def map(self, change: Callable[[Tensor], Tensor]) -> LocalPlanes:
         """The same with `change`, such as a move to another device, applied to every tensor."""

@@ -147,7 +147,7 @@ def _published(row: paper.Row | None) -> str:
 
 def report(results: Results, facts: Mapping[str, object], kept: int) -> str:
     """The whole report: every group, every radius and mask, Table 4, settings, failures, notes."""
-    groups = list(next(iter(results.values()))["groups"])
+    groups = ordered(results)
     parts = ["# Tables", ", ".join(f"{k} {v}" for k, v in facts.items())]
     for group in groups:
         count = max(r["groups"][group]["shapes"] for r in results.values())
@@ -167,6 +167,13 @@ def report(results: Results, facts: Mapping[str, object], kept: int) -> str:
             f"- {kept} rows, with their times, were kept from an earlier, interrupted run."
         )
     return "\n\n".join(parts) + "\n"
+
+
+def ordered(results: Results) -> list[str]:
+    """Groups in the order of the paper's tables, then the others by name."""
+    groups = next(iter(results.values()))["groups"]
+    known = [name for name in paper.COUNTERPART if name in groups]
+    return known + sorted(set(groups) - set(known))
 
 
 def failures(results: Results) -> list[str]:

@@ -15,32 +15,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from riemlayer.baselines import MeshHeat
-from riemlayer.data.cut_locus import divergence
-from riemlayer.data.ground_truth import RADIUS, trace
-from riemlayer.data.manifold import vertex_normals
 from riemlayer.data.prepare import Content, find_meshes, procedural_sample, run
 from riemlayer.data.sample_file import RECIPE, remove_stale
-from riemlayer.tables.evaluate import tangent_frame
 from riemlayer.tables.run import write_json
+from riemlayer.tables.truth import INPUTS, cloud, shape_arrays
 
-Array = np.ndarray
-Arrays = dict[str, Array]
-INPUTS = ("remeshed", "nonuniform", "noisy", "raw")
-"""What a method is given (Sec. 4.1): the vertices of the remeshed shape; samples of it whose density
-varies about 10:1; its vertices moved by up to `NOISE`; samples of the surface before it was made
-watertight, where it had to be."""
-NOISE = 0.015
 FIRST_SEED = 1_100_000
 """Of the procedural shapes; training draws seeds below 1,000,000."""
-TRACED, KEPT = 2400, 400
-"""Vectors a source that the filter sees, and that are kept."""
-TAU, TAU_TIGHT = 0.5, 0.1
-BLUE_NOISE = 30_000
-"""Evenly spread samples that the uneven ones are drawn from."""
+Jobs = dict[tuple[str, str], tuple[str, Callable[[], Content]]]
+"""By group and name: the name of the record, and what computes it."""
 
 
 @dataclass(frozen=True)
@@ -80,17 +67,18 @@ def prepare_shapes(
 
     Raises:
         ValueError: `folder` holds no mesh, an input is unknown, two meshes have one name, or `out`
-            holds shapes of other settings.
+            holds another mesh, or other sources, under the name of one of these.
         OSError: `out` cannot be written (a full disk); every finished file stays valid.
     """
     places = [(path, *_place(path.relative_to(folder))) for path in sorted(find_meshes(folder))]
     same = Counter((group, name) for _, group, name in places)
-    jobs: dict[tuple[str, str], Callable[[], Content]] = {}
+    jobs: Jobs = {}
     for path, group, name in places:
         label = group, name if same[group, name] == 1 else name + path.suffix
         if label in jobs:
             raise ValueError(f"meshes must differ in name, {path} repeats {'/'.join(label)}")
-        jobs[label] = partial(_mesh_record, path, label, sources, _seed(seed, *label))
+        job = partial(_mesh_record, path, label, sources, _seed(seed, *label))
+        jobs[label] = f"{'--'.join(label)}--{_fingerprint(path):08x}", job
     return _prepare(jobs, Path(out), f"{sources}-sources-seed-{seed}", inputs, workers)
 
 
@@ -114,140 +102,30 @@ def procedural_shapes(
     """
     if seed < FIRST_SEED:
         raise ValueError(f"seed must be at least {FIRST_SEED} (training uses others), got {seed}")
-    jobs = {
-        ("procedural", str(s)): partial(_procedural_record, s, sources)
+    jobs: Jobs = {
+        ("procedural", str(s)): (f"procedural--{s}", partial(_procedural_record, s, sources))
         for s in range(seed, seed + n)
     }
     return _prepare(jobs, Path(out), f"{sources}-sources", inputs, workers)
 
 
-def ground_truth(vertices: Array, faces: Array, src: Array, vec: Array) -> Arrays:
-    """Exp and Log of a mesh at some of its vertices, and where they can be relied on.
-
-    Exp is traced (straightest geodesics). Log is the vector heat method's `AffineLocal`, which
-    far from the source collapses to short vectors: `valid` asks for a short geodesic (fast
-    marching) as well. The tight masks hold shortest geodesics alone: Eq. (8) with tau = 0.1, and
-    |v| within 0.02 + 10 % of the fast-marching distance (at an end point, of that of the nearest
-    vertex, and the way there on top).
-
-    Args:
-        vertices, faces: a manifold mesh (n, 3), (m, 3) in the cube.
-        src: source vertices (P,).
-        vec: tangent vectors (P, T, 3) of length up to `RADIUS`; the filter of appendix E looks at
-            all of them together.
-
-    Returns:
-        "end" (P, T, 3), "ok", "ok_tight" (P, T), "log" (P, n, 3), "valid", "valid_tight" (P, n).
-
-    Raises:
-        ValueError: the truth is not finite.
-    """
-    from potpourri3d import MeshFastMarchingDistanceSolver
-    from scipy.spatial import KDTree
-
-    end, complete = trace(vertices, faces, src, vec)
-    heat, marching = MeshHeat(), MeshFastMarchingDistanceSolver(vertices, faces)
-    heat.prepare_mesh(vertices, faces)
-    log = np.stack([heat.log(vertices[s], vertices) for s in src])
-    far = np.stack([np.ravel(marching.compute_distance([[(int(s), [])]])) for s in src])  # (P, n)
-    if not (np.isfinite(end).all() and np.isfinite(log).all() and np.isfinite(far).all()):
-        raise ValueError("vertices, faces: a geodesic, log map or distance is not finite")
-    delta = divergence(end, vec)
-    ok = complete & (delta <= TAU)
-    length, (gap, near) = np.linalg.norm(vec, axis=-1), KDTree(vertices).query(end)
-    off = np.abs(length - np.take_along_axis(far, near, 1))
-    reach = np.linalg.norm(log, axis=-1)
-    spread = divergence(np.broadcast_to(vertices, log.shape), log)
-    valid = (reach < RADIUS) & (far < 1.05 * RADIUS) & (spread <= TAU)
-    shortest = np.abs(reach - far) <= 0.02 + 0.1 * far
-    return {
-        "end": end,
-        "ok": ok,
-        "ok_tight": ok & (delta <= TAU_TIGHT) & (off <= 0.02 + 0.1 * length + gap),
-        "log": log,
-        "valid": valid,
-        "valid_tight": valid & (spread <= TAU_TIGHT) & shortest,
-    }
-
-
-def draw_queries(
-    vertices: Array, faces: Array, sources: int, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """Random source vertices (P,), their normals (P, 3) and `TRACED` vectors each (P, T, 3).
-
-    The vectors are tangent and uniform by area in the disk of `RADIUS`.
-    """
-    if not 0 < sources <= len(vertices):
-        raise ValueError(f"sources must lie between 1 and {len(vertices)} vertices, got {sources}")
-    src = rng.choice(len(vertices), sources, replace=False)
-    normal = vertex_normals(vertices, faces)[src]
-    share, turn = rng.random((2, sources, TRACED, 1))
-    flat = np.concatenate([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], -1)
-    frames = np.stack([tangent_frame(x) for x in normal])
-    return src, normal, RADIUS * np.sqrt(share) * flat @ frames.transpose(0, 2, 1)
-
-
-def shape_arrays(vertices: Array, faces: Array, sources: int, seed: int) -> Arrays:
-    """All arrays of a prepared shape but its cloud, of one manifold mesh in the cube (ours).
-
-    What is stored in float32 is what was traced and solved for. `log` is rounded to multiples of
-    2^-15, of 2^-7 where it is longer than 0.75 and never counts, so that the file packs well.
-    """
-    vertices = vertices.astype(np.float32)
-    mesh, rng = vertices.astype(float), np.random.default_rng(seed)
-    src, normal, vec = draw_queries(mesh, faces, sources, rng)
-    vec = vec.astype(np.float32)
-    truth = ground_truth(mesh, faces, src, vec.astype(float))
-    near = np.linalg.norm(truth["log"], axis=-1, keepdims=True) < 1.5 * RADIUS
-    grid = np.where(near, 2.0**15, 2.0**7)
-    return {
-        "V": vertices,
-        "F": faces.astype(np.int32),
-        "src": src.astype(np.int32),
-        "src_normal": normal.astype(np.float32),
-        "vec": vec[:, :KEPT],
-        "end": truth["end"][:, :KEPT].astype(np.float32),
-        "log": (np.round(truth["log"] * grid) / grid).astype(np.float32),
-        **{name: truth[name][:, :KEPT] for name in ("ok", "ok_tight")},
-        **{name: truth[name] for name in ("valid", "valid_tight")},
-    }
-
-
-def cloud(name: str, vertices: Array, faces: Array, seed: int) -> Array:
-    """The cloud (N, 3) float32 of an input of `INPUTS` other than "raw" (Sec. 4.1).
-
-    Raises:
-        ValueError: there is no such input.
-    """
-    if name == "remeshed":
-        return vertices
-    if name == "noisy":
-        rng = np.random.default_rng(seed)
-        direction = rng.normal(size=vertices.shape)
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        length = NOISE * rng.random((len(vertices), 1))
-        return (vertices + length * direction).astype(np.float32)
-    if name == "nonuniform":
-        import torch
-
-        from riemlayer.data import augment
-
-        generator = torch.Generator().manual_seed(seed)
-        mesh = torch.from_numpy(vertices), torch.from_numpy(faces)
-        points = augment.sample_surface(*mesh, 3 * BLUE_NOISE, generator)
-        points = augment.thin_out(points, BLUE_NOISE)
-        return points[augment.uneven(points, generator)].numpy()
-    raise ValueError(f"inputs must be among {', '.join(INPUTS)}, got {name!r}")
-
-
 def _place(path: Path) -> tuple[str, str]:
     """Group and name of a mesh from its path below the folder."""
-    top, *rest = ("meshes", *path.with_suffix("").parts)[-len(path.parts) - (len(path.parts) == 1) :]
-    return _clean(top), _clean("-".join(rest))
+    parts = path.with_suffix("").parts
+    group, rest = (parts[0], parts[1:]) if len(parts) > 1 else ("meshes", parts)
+    return _clean(group), _clean("-".join(rest))
 
 
 def _clean(text: str) -> str:
     return re.sub(r"[^\w.-]", "_", text)
+
+
+def _fingerprint(path: Path) -> int:
+    """Of the file's content; 0 where it cannot be read, which its job will say."""
+    try:
+        return zlib.crc32(path.read_bytes())
+    except OSError:
+        return 0
 
 
 def _seed(*words: object) -> int:
@@ -261,7 +139,7 @@ def _mesh_record(path: Path, label: tuple[str, str], sources: int, seed: int) ->
     arrays = shape_arrays(mesh.vertices, mesh.faces, sources, seed)
     if mesh.soup is not None:
         arrays["soup"] = mesh.soup.astype(np.float32)
-    return arrays, {"group": label[0], "shape": label[1]}
+    return arrays, {"group": label[0], "shape": label[1], "seed": str(seed)}
 
 
 def _procedural_record(seed: int, sources: int) -> Content:
@@ -269,11 +147,12 @@ def _procedural_record(seed: int, sources: int) -> Content:
     arrays = shape_arrays(sample["vertices"], sample["faces"], sources, seed)
     if "soup" in sample:
         arrays["soup"] = sample["soup"]
-    return arrays, {"group": "procedural", "shape": f"{metadata['kind']}-{seed}"}
+    name = f"{metadata['kind']}-{seed}"
+    return arrays, {"group": "procedural", "shape": name, "seed": str(seed)}
 
 
 def _prepare(
-    jobs: Mapping[tuple[str, str], Callable[[], Content]],
+    jobs: Jobs,
     out: Path,
     settings: str,
     inputs: Sequence[str],
@@ -285,25 +164,26 @@ def _prepare(
     records = out / ".records" / f"recipe-{RECIPE}-{settings}"
     failed = records / "failures.jsonl"
     failed.unlink(missing_ok=True)  # to try them again
-    labels = {"--".join(label): label for label in jobs}
-    run({name: jobs[label] for name, label in labels.items()}, records, workers)
+    run(dict(jobs.values()), records, workers)
+    labels = {record: "/".join(label) for label, (record, _) in jobs.items()}
     lines = failed.read_text("utf-8").splitlines() if failed.exists() else []
-    failures = {"/".join(labels[x["name"]]): x["reason"] for x in map(json.loads, lines)}
+    failures = {labels[x["name"]]: x["reason"] for x in map(json.loads, lines)}
     write_json(out / "failures.json", failures)
     written = skipped = 0
-    for name in labels:
-        path = records / f"{name}.safetensors"
+    for record in labels:
+        path = records / f"{record}.safetensors"
         for new in _write_inputs(path, out, inputs) if path.exists() else ():
             written, skipped = written + new, skipped + (not new)
     return Preparation(written, skipped, failures)
 
 
 def _write_inputs(record: Path, out: Path, inputs: Sequence[str]) -> Iterator[bool]:
-    """Writes the missing files of one record; for each input that it has, whether it was missing."""
+    """Writes the missing files of one record; for each input that it has: was it missing?"""
     from safetensors import safe_open
 
     with safe_open(record, "numpy") as file:
-        arrays, metadata = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        metadata = file.metadata()
     soup = arrays.pop("soup", None)
     for name in inputs:
         if name == "raw" and soup is None:
@@ -312,19 +192,21 @@ def _write_inputs(record: Path, out: Path, inputs: Sequence[str]) -> Iterator[bo
         path = out / group / f"{metadata['shape']}.npz"
         if path.exists():
             with np.load(path) as there:
-                if not np.array_equal(there["src"], arrays["src"]):
-                    raise ValueError(f"out holds shapes of other settings ({path}); choose another")
+                if not all(np.array_equal(there[x], arrays[x]) for x in ("V", "src")):
+                    raise ValueError(
+                        f"out holds another mesh or other sources as {path}: remove it"
+                    )
             yield False
             continue
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_stale(path.parent)
-        seed = _seed(metadata["group"], metadata["shape"], name, *arrays["src"])
+        seed = _seed(metadata["seed"], name)
         points = soup if name == "raw" else cloud(name, arrays["V"], arrays["F"], seed)
         _write(path, arrays | {"points": points})
         yield True
 
 
-def _write(path: Path, arrays: Arrays) -> None:
+def _write(path: Path, arrays: Mapping[str, Any]) -> None:
     """Through a temporary file, so that `path` is whole or not there."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

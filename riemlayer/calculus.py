@@ -1,0 +1,270 @@
+"""What follows from Exp and Log: distances, frames, geodesics, transport, refinement.
+
+`Calculus` is mixed into `EncodedSurface`; it asks a surface for its maps and its normals alone, so
+the laws it obeys are tested on closed-form surfaces whose maps are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.func import jvp
+
+from riemlayer.numerics import normalise, safe_norm
+from riemlayer.queries import value_and_jacobian
+
+STRIDE = 0.5
+"""Longest step of `shoot`, in trained radii: short steps are the accurate ones."""
+RUNG = 0.25
+"""Length of the vectors that a pole ladder carries, in trained radii."""
+
+
+class Shot(NamedTuple):
+    """A long geodesic."""
+
+    point: Tensor
+    """(..., 3) where it ends."""
+    vector: Tensor
+    """(..., 3) v carried along: |v| times the direction at the end."""
+    path: Tensor
+    """(steps + 1, ..., 3) from p to the end."""
+
+
+class Calculus(ABC):
+    """Tangent-space operators of a surface that has Exp and Log; names and order of geoopt.
+
+    Points and vectors are (..., 3) in the user's units and broadcast; `shape` is needed for packed
+    batches only. Tangent vectors are ambient; `to_2d` and `from_2d` change to coordinates.
+    """
+
+    @abstractmethod
+    def decode_exp(
+        self, p: Tensor, v: Tensor, shape: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Exp_p(v) (..., 3) and validity logits (...)."""
+
+    @abstractmethod
+    def decode_log(
+        self, p: Tensor, q: Tensor, shape: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Log_p(q) (..., 3) and validity logits (...)."""
+
+    @abstractmethod
+    def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Unit normals (..., 3); a cloud does not know their sign."""
+
+    @abstractmethod
+    def snap(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Points (..., 3) moved onto the surface."""
+
+    @abstractmethod
+    def radius_at(self, p: Tensor, shape: Tensor | None = None) -> Tensor:
+        """Trained radius (...) of the shape that each base point belongs to."""
+
+    def dist(self, p: Tensor, q: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Geodesic distance d(p, q) = |Log_p(q)| (...), with a finite gradient at p = q (ours).
+
+        Symmetric as far as Log is: average with `dist(q, p)` where that matters.
+        """
+        return safe_norm(self.decode_log(p, q, shape)[0]).squeeze(-1)
+
+    def cdist(self, p: Tensor, q: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Distances (P, Q) from every p (P, 3) to every q (Q, 3), one source for each p (ours)."""
+        return self.dist(p[:, None], q[None], shape=None if shape is None else shape[:, None])
+
+    def inner(self, p: Tensor, u: Tensor, v: Tensor | None = None) -> Tensor:
+        """Riemannian inner product <u, v>_p (...): that of the ambient vectors; |u|^2 without v."""
+        return (u * (u if v is None else v)).sum(-1)
+
+    def norm(self, p: Tensor, u: Tensor) -> Tensor:
+        """Length |u|_p (...) of tangent vectors, with a finite gradient at 0."""
+        return safe_norm(u).squeeze(-1)
+
+    def frame(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Right-handed orthonormal frames (..., 3, 3), columns e1, e2 and the normal (appendix A).
+
+        A function of the normal alone (Duff et al. 2017): deterministic, smooth but where the
+        normal's z component changes sign.
+        """
+        normal = self.normal(p, shape=shape)
+        x, y, z = normal.unbind(-1)
+        sign = torch.where(z < 0, -1.0, 1.0).to(z.dtype)
+        a = -1 / (sign + z)
+        b = x * y * a
+        first = torch.stack((1 + sign * x * x * a, sign * b, -sign * x), -1)
+        second = torch.stack((b, sign + y * y * a, -y), -1)
+        return torch.stack((first, second, normal), -1)
+
+    def project(self, p: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Part (..., 3) of ambient vectors in the tangent plane at p."""
+        normal = self.normal(p, shape=shape)
+        return v - (v * normal).sum(-1, keepdim=True) * normal
+
+    def to_2d(self, p: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Coordinates (..., 2) of tangent vectors in the frame at p (appendix A)."""
+        return (v[..., None, :] @ self.frame(p, shape=shape)[..., :2]).squeeze(-2)
+
+    def from_2d(self, p: Tensor, x: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Ambient tangent vectors (..., 3) of coordinates x (..., 2) in the frame at p."""
+        return (self.frame(p, shape=shape)[..., :2] @ x[..., None]).squeeze(-1)
+
+    def geodesic(self, p: Tensor, q: Tensor, t: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """Point at t (...) in [0, 1] of the geodesic from p to q: Exp_p(t Log_p(q)) (ours).
+
+        What Exp misses q by is given back in proportion to t, so both ends are exact.
+        """
+        v = self.decode_log(p, q, shape)[0]
+        ahead, whole = (
+            self.decode_exp(p, t[..., None] * v, shape)[0],
+            self.decode_exp(p, v, shape)[0],
+        )
+        return ahead + t[..., None] * (q - whole)
+
+    def advance(
+        self, p: Tensor, v: Tensor, *, shape: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Exp_p(v) and v carried there: |v| times the direction of d/dt Exp_p(t v) at 1 (ours)."""
+
+        def end(x: Tensor) -> Tensor:
+            return self.decode_exp(p, x, shape)[0]
+
+        v = v.contiguous()
+        q, velocity = jvp(end, (v,), (v,))[:2]
+        q = self.snap(q, shape=shape)
+        normal = self.normal(q, shape=shape)
+        velocity = velocity - (velocity * normal).sum(-1, keepdim=True) * normal
+        return q, normalise(velocity) * safe_norm(v)
+
+    def shoot(
+        self, p: Tensor, v: Tensor, steps: int | None = None, *, shape: Tensor | None = None
+    ) -> Shot:
+        """Long geodesic from p along v, beyond the trained radius, in short learned steps (ours).
+
+        Args:
+            p, v: (..., 3) of one shape.
+            steps: how many; by default as many as keep each within half a trained radius.
+            shape: (...) as everywhere.
+
+        Raises:
+            ValueError: steps is not positive.
+        """
+        p, v = torch.broadcast_tensors(p, v)
+        if steps is None:
+            reach = STRIDE * self.radius_at(p, shape)
+            longest = float((v.detach().norm(dim=-1) / reach).max()) if v.numel() else 0.0
+            steps = max(1, math.ceil(longest))
+        if steps < 1:
+            raise ValueError(f"steps must be at least 1, got {steps}")
+        step, path = v / steps, [p]
+        for _ in range(steps):
+            q, step = self.advance(path[-1], step, shape=shape)
+            path.append(q)
+        return Shot(path[-1], step * steps, torch.stack(path))
+
+    def transport(
+        self,
+        p: Tensor,
+        q: Tensor,
+        v: Tensor,
+        *,
+        method: Literal["differential", "ladder"] = "differential",
+        shape: Tensor | None = None,
+    ) -> Tensor:
+        """Parallel transport of tangent vectors v (..., 3) at p along the geodesic to q (ours).
+
+        "differential": the rotation nearest to d(Exp_p) at Log_p(q), exact where curvature is
+        constant. "ladder": the pole ladder, by three geodesics and their middle. The tangent part
+        keeps its length; transport from p to p is the identity.
+
+        Raises:
+            ValueError: the method is another.
+        """
+        if method == "differential":
+            return self._carry(p, q, v, shape)
+        if method == "ladder":
+            return self._ladder(p, q, v, shape)
+        raise ValueError(f"method must be 'differential' or 'ladder', got {method!r}")
+
+    def log_refined(
+        self, p: Tensor, q: Tensor, steps: int = 2, *, shape: Tensor | None = None
+    ) -> Tensor:
+        """Log_p(q) (..., 3) after Gauss-Newton steps on |Exp_p(v) - q| from Log's answer (ours).
+
+        Consistent with Exp rather than with the truth. A step that does not bring Exp_p(v) nearer
+        to q is not taken.
+        """
+        v = self.decode_log(p, q, shape)[0]
+        axes = self.frame(p, shape=shape)[..., :2]
+        miss = safe_norm(q - self.decode_exp(p, v, shape)[0])
+        for _ in range(steps):
+            end, J = value_and_jacobian(lambda x: self.decode_exp(p, x, shape)[0], v)
+            A = J @ axes
+            normal = A.mT @ A + 1e-4 * torch.eye(2, dtype=v.dtype, device=v.device)
+            x = torch.linalg.solve(normal, A.mT @ (q - end)[..., None])
+            ahead = v + (axes @ x).squeeze(-1)
+            left = safe_norm(q - self.decode_exp(p, ahead, shape)[0])
+            v, miss = torch.where(left < miss, ahead, v), torch.minimum(left, miss)
+        return v
+
+    def valid_mask(
+        self, p: Tensor, q: Tensor, threshold: float = 0.5, *, shape: Tensor | None = None
+    ) -> Tensor:
+        """(...) bool: q lies before the cut locus of p with at least that probability (ours)."""
+        return self.decode_log(p, q, shape)[1].sigmoid() > threshold
+
+    def injectivity_radius(
+        self,
+        p: Tensor,
+        directions: int = 16,
+        steps: int = 16,
+        *,
+        shape: Tensor | None = None,
+    ) -> Tensor:
+        """Distance (...) from p at which its cut locus begins, at most the trained radius (ours).
+
+        The shortest vector of a fan whose validity is below one half.
+        """
+        longest = self.radius_at(p, shape)[..., None]  # (..., 1)
+        angle = torch.arange(directions, device=p.device) * (2 * math.pi / directions)
+        length = torch.arange(1, steps + 1, device=p.device) / steps
+        fan = torch.stack((angle.cos(), angle.sin()), -1)[:, None] * length[:, None]
+        fan = fan.flatten(0, 1).to(p.dtype)  # (F, 2)
+        axes = self.frame(p, shape=shape)[..., :2]
+        v = longest[..., None] * (fan @ axes.mT)
+        wide = None if shape is None else shape[..., None]
+        logit = self.decode_exp(p[..., None, :], v, wide)[1]
+        reach = fan.norm(dim=-1) * longest
+        return torch.where(logit < 0, reach, longest).amin(-1)
+
+    def _carry(self, p: Tensor, q: Tensor, v: Tensor, shape: Tensor | None) -> Tensor:
+        w = self.decode_log(p, q, shape)[0]
+        _, J = value_and_jacobian(lambda x: self.decode_exp(p, x, shape)[0], w)
+        here, there = (self.frame(x, shape=shape)[..., :2] for x in (p, q))
+        x = nearest_isometry(there.mT @ J @ here) @ (here.mT @ v[..., None])
+        return (there @ x).squeeze(-1)
+
+    def _ladder(self, p: Tensor, q: Tensor, v: Tensor, shape: Tensor | None) -> Tensor:
+        v = self.project(p, v, shape=shape)
+        length = safe_norm(v)
+        rung = RUNG * self.radius_at(p, shape)[..., None] / length
+        middle = self.geodesic(p, q, torch.full_like(p[..., 0], 0.5), shape=shape)
+        top = self.decode_exp(p, rung * v, shape)[0]
+        mirrored = self.decode_exp(middle, -self.decode_log(middle, top, shape)[0], shape)[0]
+        w = self.project(q, -self.decode_log(q, mirrored, shape)[0], shape=shape)
+        return normalise(w) * length
+
+
+def nearest_isometry(m: Tensor) -> Tensor:
+    """Orthogonal matrices (..., 2, 2) nearest to m: rotations, or reflections where det m < 0."""
+    a, b, c, d = m.flatten(-2).unbind(-1)
+    flip = a * d - b * c < 0
+    sign = torch.where(flip, -1.0, 1.0).to(m.dtype)
+    cosine, sine = a + sign * d, c - sign * b
+    x = normalise(torch.stack((cosine, sine), -1))
+    cosine, sine = x.unbind(-1)
+    columns = torch.stack((cosine, sine), -1), torch.stack((-sign * sine, sign * cosine), -1)
+    return torch.stack(columns, -1)
