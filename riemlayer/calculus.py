@@ -87,17 +87,9 @@ class Calculus(ABC):
     def frame(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Right-handed orthonormal frames (..., 3, 3), columns e1, e2 and the normal (appendix A).
 
-        A function of the normal alone (Duff et al. 2017): deterministic, smooth but where the
-        normal's z component changes sign.
+        A function of the normal alone: see `frame_of`.
         """
-        normal = self.normal(p, shape=shape)
-        x, y, z = normal.unbind(-1)
-        sign = torch.where(z < 0, -1.0, 1.0).to(z.dtype)
-        a = -1 / (sign + z)
-        b = x * y * a
-        first = torch.stack((1 + sign * x * x * a, sign * b, -sign * x), -1)
-        second = torch.stack((b, sign + y * y * a, -y), -1)
-        return torch.stack((first, second, normal), -1)
+        return frame_of(self.normal(p, shape=shape))
 
     def project(self, p: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Part (..., 3) of ambient vectors in the tangent plane at p."""
@@ -256,6 +248,20 @@ class Calculus(ABC):
         mirrored = self.decode_exp(middle, -self.decode_log(middle, top, shape)[0], shape)[0]
         w = self.project(q, -self.decode_log(q, mirrored, shape)[0], shape=shape)
         return normalise(w) * length
+
+
+def frame_of(normal: Tensor) -> Tensor:
+    """Right-handed orthonormal frames (..., 3, 3), columns e1, e2 and the unit normal (..., 3).
+
+    Duff et al. 2017: deterministic, and smooth but where the normal's z component changes sign.
+    """
+    x, y, z = normal.unbind(-1)
+    sign = torch.where(z < 0, -1.0, 1.0).to(z.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    first = torch.stack((1 + sign * x * x * a, sign * b, -sign * x), -1)
+    second = torch.stack((b, sign + y * y * a, -y), -1)
+    return torch.stack((first, second, normal), -1)
 
 
 def nearest_isometry(m: Tensor) -> Tensor:

@@ -220,6 +220,14 @@ class EncodedSurface(Calculus):
         flat = self._shape_of(p, shape).expand(p.shape[:-1])
         return self.centre[flat] + self.scale[flat][..., None] * x.view(p.shape)
 
+    def own_points(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Points (N, 3) of this surface, their cloud (N,) counted from 0, and what `shape` is."""
+        if self.only is None:
+            return self.points, self.batch, self.batch
+        points = self.points[self.batch == self.only]
+        shape = torch.full((len(points),), self.only, device=points.device)
+        return points, torch.zeros_like(shape), shape
+
     def radius_at(self, p: Tensor, shape: Tensor | None = None) -> Tensor:
         """Trained radius (...) of the cloud that each base point belongs to."""
         return self.field.config.radius * self.scale[self._shape_of(p, shape)]

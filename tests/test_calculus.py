@@ -4,52 +4,15 @@ import math
 
 import pytest
 import torch
+from exact import Exact, sphere_points, tangents, unit
 from references import fibonacci_sphere
-from torch import Tensor
 from torch.autograd import gradcheck
 
 from riemlayer import ExpLogField
-from riemlayer.calculus import Calculus, nearest_isometry
-from riemlayer.data.closed_form import Cylinder, Plane, Sphere
-
-
-class Exact(Calculus):
-    """A closed-form surface; what is beyond half a turn of the sphere is not valid."""
-
-    def __init__(self, surface=None) -> None:
-        self.surface = surface or Sphere()
-
-    def decode_exp(self, p, v, shape=None) -> tuple[Tensor, Tensor]:
-        return self.surface.exp(p, v), math.pi - v.norm(dim=-1)
-
-    def decode_log(self, p, q, shape=None) -> tuple[Tensor, Tensor]:
-        v = self.surface.log(p, q)
-        return v, math.pi - 0.1 - v.norm(dim=-1)
-
-    def normal(self, p, *, shape=None) -> Tensor:
-        return self.surface.normal(p)
-
-    def snap(self, p, *, shape=None) -> Tensor:
-        return torch.nn.functional.normalize(p, dim=-1) if isinstance(self.surface, Sphere) else p
-
-    def radius_at(self, p, shape=None) -> Tensor:
-        return torch.full_like(p[..., 0], 0.5)
-
+from riemlayer.calculus import nearest_isometry
+from riemlayer.data.closed_form import Cylinder, Plane
 
 SPHERE = Exact()
-
-
-def sphere_points(*size: int) -> Tensor:
-    return torch.nn.functional.normalize(torch.randn(*size, 3, dtype=torch.float64), dim=-1)
-
-
-def tangents(surface: Exact, p: Tensor, length: float = 1.0) -> Tensor:
-    v = surface.project(p, torch.randn_like(p))
-    return length * v / v.norm(dim=-1, keepdim=True)
-
-
-def unit(*x: float) -> Tensor:
-    return torch.nn.functional.normalize(torch.tensor(x, dtype=torch.float64), dim=-1)
 
 
 def test_distances_on_the_sphere_are_angles():

@@ -1,0 +1,217 @@
+"""One record of a cloud's local geometry that feeds every layer of `riemlayer.nn`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Self
+
+import torch
+from torch import Tensor
+
+from riemlayer.calculus import frame_of
+from riemlayer.geometry.walk import turn
+from riemlayer.numerics import normalise, safe_norm, segment_sum
+from riemlayer.octree import build_octree, knn, radius_search
+from riemlayer.surface import EncodedSurface
+
+MARGIN = 1.25
+"""Where the window of a receiver ends, in distances of its farthest neighbour."""
+
+
+class LocalGeometry(NamedTuple):
+    """Edges of a cloud with log-map coordinates.
+
+    **Direction: edge e goes from the neighbour `edge_index[0, e]` to the receiver
+    `edge_index[1, e]`; the receiver is the base point of `log`.** This is PyG's
+    "source_to_target". Edges are sorted by receiver.
+    """
+
+    edge_index: Tensor
+    """(2, E) int64: neighbour, receiver."""
+    log: Tensor
+    """(E, 2) Log_receiver(neighbour) in the receiver's frame, user's units."""
+    r: Tensor
+    """(E,) geodesic distance |log|."""
+    theta: Tensor
+    """(E,) angle of log in (-pi, pi]."""
+    transport: Tensor
+    """(E,) angle that turns the neighbour's coordinates of a tangent vector into the receiver's."""
+    weight: Tensor
+    """(E,) Eq. (9) of r over the neighbourhood's radius; sums to 1 over a receiver's valid edges,
+    and is 0 on others."""
+    valid: Tensor
+    """(E,) bool: the neighbour lies before the receiver's cut locus."""
+    frame: Tensor
+    """(N, 3, 3) frames, columns e1, e2, normal; normals agree between neighbours."""
+    radius: Tensor
+    """(N,) distance of each receiver's farthest valid neighbour; 0 where it has none."""
+    batch: Tensor
+    """(N,) int64, cloud of each point."""
+
+    @property
+    def points(self) -> int:
+        """N."""
+        return len(self.frame)
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same on another device."""
+        return self._make(x.to(device) for x in self)
+
+    def turned(self, angle: Tensor) -> Self:
+        """The same geometry told in frames turned by `angle` (N,) about their normals.
+
+        What layers that claim to be independent of the frames are tested with.
+        """
+        sender, receiver = self.edge_index
+        theta = self.theta - angle[receiver]
+        theta = torch.atan2(theta.sin(), theta.cos())
+        log = self.r[:, None] * torch.stack((theta.cos(), theta.sin()), -1)
+        c, s, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+        rows = (c, -s, zero, s, c, zero, zero, zero, zero + 1)
+        turn_by = torch.stack(rows, -1).unflatten(-1, (3, 3))
+        return self._replace(
+            log=log,
+            theta=theta,
+            transport=self.transport + angle[sender] - angle[receiver],
+            frame=self.frame @ turn_by,
+        )
+
+
+def local_geometry(
+    surface: EncodedSurface, k: int = 16, radius: float | None = None
+) -> LocalGeometry:
+    """Log-map coordinates, transport and weights between each point and its neighbours (ours).
+
+    Differentiable through `log`. Points of a packed batch only meet points of their own cloud.
+
+    Args:
+        surface: an encoded surface; its own points are the base points.
+        k: nearest neighbours of each point, itself not among them.
+        radius: all neighbours within this geodesic distance (user's units) instead.
+
+    Raises:
+        ValueError: k is below 1 or a cloud has too few points, or the radius is not positive.
+
+    >>> from riemlayer import ExpLogField
+    >>> points = torch.nn.functional.normalize(torch.randn(300, 3), dim=-1)
+    >>> geometry = local_geometry(ExpLogField.from_preset("tiny").encode(points), k=8)
+    >>> geometry.edge_index.shape, geometry.log.shape
+    (torch.Size([2, 2400]), torch.Size([2400, 2]))
+    """
+    if k < 1:
+        raise ValueError(f"k must be at least 1, got {k}")
+    if radius is not None and not radius > 0:
+        raise ValueError(f"radius must be positive, got {radius}")
+    points, batch, shape = surface.own_points()
+    near = _nearest(surface, points, batch, shape, k, radius)  # (N, K), -1 where there is none
+    here = torch.arange(len(points), device=points.device)[:, None]
+    filled = torch.where(near < 0, here, near)
+    log, logit = surface.decode_log(points[:, None], points[filled], shape[:, None])
+    normal = orient(surface.normal(points, shape=shape), points, filled, batch)
+    frame = frame_of(normal)
+    x = log @ frame[..., :2]  # (N, K, 2)
+    r = safe_norm(x).squeeze(-1)
+    kept = near >= 0 if radius is None else (near >= 0) & (r <= radius)
+    valid = logit > 0
+    reach = torch.where(kept & valid, r, 0).amax(-1).detach()
+    window = MARGIN * reach if radius is None else torch.full_like(reach, radius)
+    weight = (1 - (r / window[:, None].clamp_min(1e-12)).square()).clamp_min(0).square()
+    weight = torch.where(kept & valid, weight, 0)
+    weight = weight / weight.sum(-1, keepdim=True).clamp_min(1e-12)
+    sender, receiver = near[kept], here.expand_as(near)[kept]
+    carried = turn(frame[sender, :, 0], normal[sender], normal[receiver])
+    transport = angle_of((carried[:, None] @ frame[receiver, :, :2]).squeeze(1))
+    x = x[kept]
+    return LocalGeometry(
+        edge_index=torch.stack((sender, receiver)),
+        log=x,
+        r=r[kept],
+        theta=angle_of(x),
+        transport=transport,
+        weight=weight[kept],
+        valid=valid[kept],
+        frame=frame,
+        radius=reach,
+        batch=batch,
+    )
+
+
+def angle_of(x: Tensor) -> Tensor:
+    """Angle in (-pi, pi] of vectors (..., 2); 0, with gradient 0, for the zero vector."""
+    along = torch.tensor([1.0, 0.0], dtype=x.dtype, device=x.device)
+    x = torch.where((x == 0).all(-1, keepdim=True), along, x)
+    return torch.atan2(x[..., 1], x[..., 0])
+
+
+def _nearest(
+    surface: EncodedSurface,
+    points: Tensor,
+    batch: Tensor,
+    shape: Tensor,
+    k: int,
+    radius: float | None,
+) -> Tensor:
+    """Indices (N, K) of each point's neighbours, itself not among them; -1 where there is none."""
+    depth = surface.field.config.backbone.depth + 1
+    x = ((points - surface.centre[shape]) / surface.scale[shape][:, None]).detach().clamp(-1, 1)
+    octree = build_octree(x, batch, depth, coarsest=max(0, depth - 4))
+    here = torch.arange(len(x), device=x.device)
+    if radius is None:
+        index = knn(octree, x, x, k + 1, batch)[0]
+        other = (index != here[:, None]).byte()
+        order = torch.sort(other, stable=True, dim=-1, descending=True)[1][:, :k]
+        return index.gather(-1, order)
+    widest = radius / float(surface.scale.min())
+    query, point, _ = radius_search(octree, x, x, widest, batch)
+    chord = (points[query] - points[point]).detach().norm(dim=-1)
+    kept = (query != point) & (chord <= radius)
+    query, point = query[kept], point[kept]
+    count = query.bincount(minlength=len(x))
+    place = torch.arange(len(query), device=x.device) - (count.cumsum(0) - count)[query]
+    index = query.new_full((len(x), max(1, int(count.max()))), -1)
+    index[query, place] = point
+    return index
+
+
+@torch.no_grad()
+def orient(normal: Tensor, points: Tensor, neighbours: Tensor, batch: Tensor) -> Tensor:
+    """Normals (N, 3) with signs that agree between neighbours as far as they can (ours).
+
+    Signs spread from each cloud's highest point, where the normal points up, to the neighbours of
+    those that have one; each takes the sign that most neighbours agree with. Neighbours across a
+    thin sheet, whose chord runs along the normal, have no say. Which side is outside stays open.
+
+    Args:
+        normal, points: (N, 3).
+        neighbours: (N, K) indices.
+        batch: (N,) cloud of each point.
+    """
+    chord = normalise(points[neighbours] - points[:, None])
+    here, there = normal[:, None].expand_as(chord), normal[neighbours]
+    flat = (1 - (chord * here).sum(-1).abs()) * (1 - (chord * there).sum(-1).abs())
+    vote = ((here * there).sum(-1) * flat).flatten()
+    receiver = torch.arange(len(points), device=points.device).repeat_interleave(
+        neighbours.shape[1]
+    )
+    sender = neighbours.flatten()
+    ends, starts = torch.cat((receiver, sender)), torch.cat((sender, receiver))
+    vote = torch.cat((vote, vote))
+    sign = torch.zeros_like(points[:, 0])
+    while bool((sign == 0).any()):
+        sign = _seeded(sign, normal, points, batch)
+        while True:
+            votes = segment_sum((vote * sign[starts])[:, None], ends, len(sign)).squeeze(-1)
+            new = (sign == 0) & (votes != 0)
+            if not bool(new.any()):
+                break
+            sign = torch.where(new, votes.sign(), sign)
+    return normal * sign[:, None]
+
+
+def _seeded(sign: Tensor, normal: Tensor, points: Tensor, batch: Tensor) -> Tensor:
+    """Signs with one more known in each cloud: at the highest point that had none, upwards."""
+    height = torch.where(sign == 0, points[:, 2], -torch.inf)
+    top = height.new_full((int(batch[-1]) + 1,), -torch.inf)
+    top = top.scatter_reduce(0, batch, height, "amax")
+    first = (sign == 0) & (height == top[batch])
+    up = torch.where(normal[:, 2] < 0, -1.0, 1.0).to(sign.dtype)
+    return torch.where(first, up, sign)
