@@ -110,6 +110,10 @@ def test_across_the_cut_locus_nothing_is_tight():
     assert not true["ok_tight"][across > 0.1 * np.pi + 0.06].any()
     once = across < 0.2 * np.pi - 0.53  # the other way round is longer than any vector
     assert once.sum() > 100 and true["ok_tight"][once].all()
+    turn = np.abs((angle.ravel() + np.pi) % (2 * np.pi) - np.pi)
+    distance = np.hypot(0.1 * turn, z.ravel() - z.ravel()[src])
+    collapsed = (length(true["log"][0]) < 0.5) & (distance > 0.56)
+    assert collapsed.any() and not true["valid"][0, collapsed].any()
     assert true["ok"].sum() > true["ok_tight"].sum()
 
 
