@@ -66,11 +66,13 @@ class Calculus(ABC):
         """Trained radius (...) of the shape that each base point belongs to."""
 
     def dist(self, p: Tensor, q: Tensor, *, shape: Tensor | None = None) -> Tensor:
-        """Geodesic distance d(p, q) = |Log_p(q)| (...), with a finite gradient at p = q (ours).
+        """Geodesic distance d(p, q) (...): |Log_p(q)|, but never below the chord |q - p| (ours).
 
-        Symmetric as far as Log is: average with `dist(q, p)` where that matters.
+        The gradient is finite at p = q. Symmetric as far as Log is: average with `dist(q, p)` where
+        that matters.
         """
-        return safe_norm(self.decode_log(p, q, shape)[0]).squeeze(-1)
+        along = safe_norm(self.decode_log(p, q, shape)[0])
+        return torch.maximum(along, safe_norm(q - p)).squeeze(-1)
 
     def cdist(self, p: Tensor, q: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Distances (P, Q) from every p (P, 3) to every q (Q, 3), one source for each p (ours)."""

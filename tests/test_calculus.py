@@ -22,6 +22,15 @@ def test_distances_on_the_sphere_are_angles():
     torch.testing.assert_close(SPHERE.dist(p[:, None], q), angles)
 
 
+def test_a_distance_is_never_shorter_than_the_chord():
+    class Short(Exact):
+        def decode_log(self, p, q, shape=None):
+            return 0.1 * self.surface.log(p, q), q[..., 0]
+
+    p, q = sphere_points(2, 9)
+    torch.testing.assert_close(Short().dist(p, q), (q - p).norm(dim=-1))
+
+
 def test_a_distance_has_a_finite_gradient_at_coincident_points():
     p = sphere_points(3).requires_grad_()
     SPHERE.dist(p, p.detach()).sum().backward()

@@ -13,6 +13,9 @@ from riemlayer.queries import value_and_jacobian
 LONGEST = 0.5
 """Longest step of a mean, in trained radii: beyond it Exp and Log are not to be relied on."""
 
+CANDIDATES = 6
+"""Centres that a point chooses from in `kmeans`."""
+
 
 class Principal(NamedTuple):
     """What `tangent_pca` answers."""
@@ -192,5 +195,16 @@ def farthest_points(surface: Calculus, points: Tensor, k: int, seed: int = 0) ->
 
 
 def _nearest(surface: Calculus, centres: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    distance, label = surface.cdist(centres, points).min(0)
-    return label, distance
+    """Nearest centre (N,) of each point and the distance (N,) to it.
+
+    Asked of the centres that are nearest along the chord alone: the others are farther away than
+    Log is to be relied on.
+    """
+    chord = torch.cdist(points, centres)
+    tried = chord.topk(min(CANDIDATES, len(centres)), largest=False)[1]
+    distance = torch.full_like(chord, torch.inf)
+    for i, centre in enumerate(centres):
+        asked = (tried == i).any(-1).nonzero().squeeze(-1)
+        distance[asked, i] = surface.dist(centre, points[asked])
+    nearest, label = distance.min(-1)
+    return label, nearest

@@ -36,6 +36,7 @@ class Drawing:
         title: a few words above the picture.
         radius: the checkerboard ends at |log| = radius.
         period: side of a tile, in the unit of `log`.
+        colours: (N, 3) in [0, 1], a colour for every point instead of tiles; pictures only.
     """
 
     points: Any
@@ -48,6 +49,7 @@ class Drawing:
     title: str = ""
     radius: float = 0.5
     period: float = 0.1
+    colours: Any = None
     normals: Array = field(init=False)
     """(N, 3) unit normals for shading; their sign has no meaning on a cloud."""
     spacing: float = field(init=False)
@@ -64,8 +66,13 @@ class Drawing:
                 f"`log` must have shape ({len(points)}, 2), got {np.shape(self.log)}; "
                 "flatten vectors with tangent_coordinates(log, normal)"
             )
+        if self.colours is not None and np.shape(self.colours) != points.shape:
+            raise ValueError(
+                f"`colours` must have shape {points.shape}, got {np.shape(self.colours)}"
+            )
         put: dict[str, Any] = {"points": points}
-        for name, dtype in (("faces", np.int64), ("log", float), ("p", float), ("dots", float)):
+        kinds = {"faces": np.int64, "log": float, "p": float, "dots": float, "colours": float}
+        for name, dtype in kinds.items():
             value = getattr(self, name)
             put[name] = None if value is None else to_numpy(value, dtype)
         for name in ("paths", "reference"):

@@ -30,6 +30,8 @@ def write_html(
     Returns:
         The path.
     """
+    if any(drawing.colours is not None for drawing in drawings):
+        raise ValueError("drawings must have no `colours`: pages show tiles; use write_png")
     path = Path(path)
     store = _Store()
     scene = {

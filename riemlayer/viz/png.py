@@ -74,6 +74,11 @@ def _plot(drawings: tuple[Drawing, ...], view: View, size: int):
 def _add_surface(plotter, drawing: Drawing) -> None:
     """The part within the radius carries the tiles as a texture, cut exactly at the radius."""
     mesh, log = _patches(drawing)
+    if drawing.colours is not None:
+        each = mesh.n_points // len(drawing.points)
+        mesh["colour"] = (255 * np.repeat(drawing.colours, each, axis=0)).round().astype(np.uint8)
+        plotter.add_mesh(mesh, scalars="colour", rgb=True, smooth_shading=True, **LIGHT)
+        return
     if log is None:
         plotter.add_mesh(mesh, color=PLAIN, smooth_shading=True, **LIGHT)
         return
