@@ -35,13 +35,15 @@ def speed() -> str:
 def card() -> str:
     """Facts of the packaged weights' model card."""
     facts = json.loads((ROOT / "riemlayer" / "weights" / "base.json").read_text("utf-8"))
-    training, data = facts["training"], facts["data"]
+    training = facts["training"]
+    shapes = ", ".join(f"{count} from {name}" for name, count in training["shapes"].items())
     return "\n".join(
         [
             f"- **Parameters** {training['parameters']:,}, stored as float16.",
-            f"- **Training** {training['steps']:,} steps of one shape and about 10,000 geodesics; "
-            f"{facts['time']}.",
-            *(f"- **{name.capitalize()}** {text}" for name, text in data.items()),
+            f"- **Training** {training['steps']:,} steps of {training['shapes_a_step']} shapes and "
+            f"about 10,000 geodesics each, {training['hours']} hours; {facts['time']}.",
+            f"- **Shapes** {sum(training['shapes'].values())}: {shapes}.",
+            *(f"- **{name.capitalize()}** {text}" for name, text in facts["data"].items()),
             f"- **Limits** {facts['limits']}",
             f"- **Licence** {facts['licence']}",
         ]
