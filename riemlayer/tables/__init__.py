@@ -1,1 +1,1 @@
-"""The paper's tables: every system on shapes that training never saw (Sec. 4, appendices D to G)."""
+"""The paper's tables: every system on shapes that training never saw (Sec. 4, app. D to G)."""

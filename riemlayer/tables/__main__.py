@@ -18,8 +18,11 @@ from pathlib import Path
 import torch
 
 from riemlayer.tables import render
+from riemlayer.tables.evaluate import Shape
 from riemlayer.tables.machine import machine
 from riemlayer.tables.run import VERSION, Results, Rows, find_shapes, run, write_json
+from riemlayer.tables.shapes import Preparation, prepare_shapes, procedural_shapes
+from riemlayer.tables.sweeps import POINTS
 from riemlayer.tables.systems import systems
 
 METHODS = "base,heat,projection,tracing,mesh-affine,mesh-heat,mesh-tracer,floor"
@@ -56,7 +59,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     for line in render.failures(results):
         print(f"FAILED {line}")
     if not options.no_figures:
-        draw(written, out)
+        swept = draw(written, shapes, options.weights, options.fast, out)
+        write_json(out / "tables.json", written | {"sweeps": swept})
     print(f"written to {out}/tables.md, tables.json")
 
 
@@ -82,19 +86,39 @@ def ablated(
     return {"facts": facts, "group": group, "methods": results}, "\n\n".join(parts)
 
 
-def draw(written: Results, out: Path) -> None:
-    """The figures that need no further measurement."""
-    from riemlayer.tables.figures import error_against_radius
+def draw(
+    written: Results, shapes: dict[str, list[Path]], weights: str, fast: bool, out: Path
+) -> Results:
+    """All figures in `out`, and the numbers that they needed besides the tables."""
+    from riemlayer import ExpLogField
+    from riemlayer.tables import figures, sweeps
 
-    error_against_radius(written, out / "error_against_radius.png")
+    field = ExpLogField.from_pretrained(weights)
+    figures.error_against_radius(written, out / "error_against_radius.png")
+    few = [Shape.load(paths[0], FAST_SOURCES) for paths in shapes.values()][: 1 if fast else 4]
+    coarse = slice(None, None, 3 if fast else 1)
+    points = POINTS[:2] if fast else POINTS
+    with torch.inference_mode():
+        swept = {
+            "noise": sweeps.noise_sweep(field, few, sweeps.LEVELS[coarse]),
+            "density": sweeps.density_sweep(field, few, sweeps.DENSITIES[coarse]),
+            "points": sweeps.point_times(field, points, repeats=1 if fast else 3),
+            "sources": sweeps.source_times(field, sweeps.SOURCES[coarse], repeats=1 if fast else 3),
+        }
+    figures.error_against_noise(swept["noise"], out / "error_against_noise.png")
+    figures.error_against_density(swept["density"], out / "error_against_density.png")
+    figures.time_against_points(swept["points"], out / "time_against_points.png")
+    figures.time_against_sources(swept["sources"], out / "time_against_sources.png")
+    compared = systems(["base", "heat", "projection"], {"base": weights})
+    for group, paths in shapes.items():
+        figures.checkerboards(Shape.load(paths[0]), compared, out / f"checkerboards_{group}.png")
+    return swept
 
 
 def _prepared(directory: Path | None, out: Path, fast: bool) -> Path:
     """A folder of prepared shapes: the given one, or `out` filled from the given meshes."""
-    from riemlayer.tables.shapes import prepare_shapes, procedural_shapes
-
     if directory is None:
-        procedural_shapes(2 if fast else 24, out)
+        _tell(procedural_shapes(2 if fast else 24, out, workers=1 if fast else 2))
         return out
     if not directory.is_dir():
         raise ValueError(
@@ -102,8 +126,14 @@ def _prepared(directory: Path | None, out: Path, fast: bool) -> Path:
         )
     if any(directory.glob("*/*.npz")):
         return directory
-    prepare_shapes(directory, out)
+    _tell(prepare_shapes(directory, out, workers=1 if fast else 2))
     return out
+
+
+def _tell(prepared: Preparation) -> None:
+    """What could not be prepared, and why."""
+    for name, reason in prepared.failures.items():
+        print(f"NOT PREPARED {name}: {reason}")
 
 
 def _parser() -> argparse.ArgumentParser:
