@@ -21,6 +21,11 @@ def safe_norm(x: Tensor) -> Tensor:
     return x.square().sum(-1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny).sqrt()
 
 
+def falloff(d: Tensor) -> Tensor:
+    """Eq. (9): (max(0, 1 - d^2))^2, from 1 at the centre of a chart to 0 at its border d = 1."""
+    return (1 - d.square()).clamp_min(0).square()
+
+
 def normalise(x: Tensor) -> Tensor:
     """x / |x| along the last axis; the zero vector stays zero."""
     return x / x.square().sum(-1, keepdim=True).clamp_min(1e-24).sqrt()

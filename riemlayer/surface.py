@@ -89,7 +89,10 @@ class EncodedSurface(Calculus):
     def __getitem__(self, i: int) -> EncodedSurface:
         if not -len(self) <= i < len(self):
             raise IndexError(f"surface {i} of a batch of {len(self)}")
-        return self if self.only is not None else replace(self, only=i % len(self))
+        if self.only is not None:
+            return self
+        i %= len(self)
+        return replace(self.at((self.batch == i).nonzero().squeeze(-1)), only=i)
 
     def __iter__(self) -> Iterator[EncodedSurface]:
         return (self[i] for i in range(len(self)))
@@ -220,13 +223,9 @@ class EncodedSurface(Calculus):
         flat = self._shape_of(p, shape).expand(p.shape[:-1])
         return self.centre[flat] + self.scale[flat][..., None] * x.view(p.shape)
 
-    def own_points(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Points (N, 3) of this surface, their cloud (N,) counted from 0, and what `shape` is."""
-        if self.only is None:
-            return self.points, self.batch, self.batch
-        points = self.points[self.batch == self.only]
-        shape = torch.full((len(points),), self.only, device=points.device)
-        return points, torch.zeros_like(shape), shape
+    def at(self, index: Tensor) -> EncodedSurface:
+        """The same surface with fewer points of its own: those of `index` (M,), ascending."""
+        return replace(self, points=self.points[index], batch=self.batch[index])
 
     def radius_at(self, p: Tensor, shape: Tensor | None = None) -> Tensor:
         """Trained radius (...) of the cloud that each base point belongs to."""

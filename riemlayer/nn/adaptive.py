@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from riemlayer.nn.arguments import check_features
 from riemlayer.nn.polar import PolarConv, angular_max
 from riemlayer.nn.sums import Sums
-from riemlayer.numerics import safe_norm, segment_sum
+from riemlayer.numerics import falloff, safe_norm, segment_sum
 from riemlayer.ops import LocalGeometry
 from riemlayer.surface import EncodedSurface
 
@@ -101,7 +101,7 @@ def read(x: Tensor, q: Tensor, points: Tensor, geometry: LocalGeometry) -> Tenso
     sender, receiver = (torch.cat((y[kept], here)) for y in geometry.edge_index)
     chord = safe_norm(q[receiver] - points[sender][:, None]).squeeze(-1)  # (E + N, F)
     window = geometry.radius[receiver].clamp_min(1e-12)[:, None]
-    weight = (1 - (chord / window).square()).clamp_min(0).square()
+    weight = falloff(chord / window)
     weight = weight + LEAST * (sender == receiver)[:, None]
     weight = weight / segment_sum(weight, receiver, len(points))[receiver]
     fans = q.shape[1]

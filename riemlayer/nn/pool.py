@@ -27,10 +27,9 @@ class GeodesicPool(nn.Module):
 
     with learned a. Clouds of a packed batch do not mix.
 
-    For layers on what is kept, ask the same surface, whole, for the edges of fewer points:
+    For layers on what is kept, ask the same surface for the edges of fewer points:
 
-        coarse = dataclasses.replace(surface, points=points[cells.index], batch=cells.batch)
-        geometry = local_geometry(coarse, k=16)
+        geometry = local_geometry(surface.at(cells.index), k=16)
 
     Args:
         ratio: share of each cloud to keep, in (0, 1], rounded up; or

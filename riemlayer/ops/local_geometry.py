@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riemlayer.calculus import frame_of
 from riemlayer.geometry.walk import turn
-from riemlayer.numerics import normalise, safe_norm, segment_sum
+from riemlayer.numerics import falloff, normalise, safe_norm, segment_sum
 from riemlayer.octree import build_octree, knn, radius_search
 from riemlayer.surface import EncodedSurface
 
@@ -101,7 +101,8 @@ def local_geometry(
         raise ValueError(f"k must be at least 1, got {k}")
     if radius is not None and not radius > 0:
         raise ValueError(f"radius must be positive, got {radius}")
-    points, batch, shape = surface.own_points()
+    points, shape = surface.points, surface.batch
+    batch = shape - (surface.only or 0)
     near = _nearest(surface, points, batch, shape, k, radius)  # (N, K), -1 where there is none
     here = torch.arange(len(points), device=points.device)[:, None]
     filled = torch.where(near < 0, here, near)
@@ -114,7 +115,7 @@ def local_geometry(
     valid = logit > 0
     reach = torch.where(kept & valid, r, 0).amax(-1).detach()
     window = MARGIN * reach if radius is None else torch.full_like(reach, radius)
-    weight = (1 - (r / window[:, None].clamp_min(1e-12)).square()).clamp_min(0).square()
+    weight = falloff(r / window[:, None].clamp_min(1e-12))
     weight = torch.where(kept & valid, weight, 0)
     weight = weight / weight.sum(-1, keepdim=True).clamp_min(1e-12)
     sender, receiver = near[kept], here.expand_as(near)[kept]

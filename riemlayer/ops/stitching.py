@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.calculus import Calculus, nearest_isometry
-from riemlayer.numerics import safe_norm
+from riemlayer.numerics import falloff, safe_norm
 
 SHELL = (0.75, 0.95)
 """Where in a chart new centres are looked for, in chart radii (appendix F)."""
@@ -109,7 +109,7 @@ def _charts(
     local = log @ surface.frame(centres)[:, :, :2]
     inside = (logit > 0) & ((points[None] - centres[:, None]).norm(dim=-1) < reach)
     d = safe_norm(local).squeeze(-1) / reach
-    return local, torch.where(inside, (1 - d.square()).clamp_min(0).square(), 0)
+    return local, torch.where(inside, falloff(d), 0)
 
 
 class _Atlas:
