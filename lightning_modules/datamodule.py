@@ -89,6 +89,7 @@ class ExpLogDataModule(L.LightningDataModule):
         limit_validation: most validation shapes.
         seed: of order and augmentation.
         workers: processes that load data.
+        tau: threshold of the filter, Eq. (8), in training; validation is always filtered by 0.5.
     """
 
     def __init__(
@@ -102,19 +103,20 @@ class ExpLogDataModule(L.LightningDataModule):
         limit_validation: int = 32,
         seed: int = 0,
         workers: int = 0,
+        tau: float = 0.5,
     ) -> None:
         super().__init__()
         self.roots, self.batch_size = roots, batch_size
         self.sources, self.vectors = sources, vectors
         self.augmentation = augmentation or Augmentation()
         self.validation, self.limit_validation = validation, limit_validation
-        self.seed, self.workers = seed, workers
+        self.seed, self.workers, self.tau = seed, workers, tau
         self.sampler: SeededSampler | None = None
 
     def setup(self, stage: str) -> None:
         """Lists the files; called by the trainer."""
         train, held = split(sample_files(self.roots), self.validation)
-        self.train = ShapeDataset(train, self.augmentation, self.sources, self.vectors)
+        self.train = ShapeDataset(train, self.augmentation, self.sources, self.vectors, self.tau)
         still = Augmentation.none()
         self.held = ShapeDataset(held[: self.limit_validation], still, self.sources, self.vectors)
         self.sampler = self._sampler(len(train), shuffle=True)

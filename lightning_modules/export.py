@@ -48,7 +48,9 @@ def export(
     state = torch.load(checkpoint, map_location="cpu", weights_only=False)
     if "preset" not in state.get("hyper_parameters", {}):
         raise ValueError(f"checkpoint {checkpoint} was not written by ExpLogPretraining")
-    field = ExpLogField(FieldConfig.preset(state["hyper_parameters"]["preset"]))
+    given = state["hyper_parameters"].get("config")
+    config = FieldConfig.from_dict(given) if given else None
+    field = ExpLogField(config or FieldConfig.preset(state["hyper_parameters"]["preset"]))
     averages = [x["average"] for x in state["callbacks"].values() if "average" in x]
     own = {k.removeprefix("field."): x for k, x in state["state_dict"].items()}
     field.load_state_dict(averages[0] if averages else own)

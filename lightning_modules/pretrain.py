@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import lightning as L
 import torch
+from lightning.pytorch.callbacks import Timer
 from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
@@ -18,7 +21,8 @@ from riemlayer.losses import LossWeights, explog_losses
 class ExpLogPretraining(L.LightningModule):
     """Supervised training of an `ExpLogField` on traced geodesics.
 
-    AdamW with a short warm-up and linear decay to 0 at the trainer's `max_steps` (appendix B).
+    AdamW with a short warm-up and linear decay to 0 at the trainer's `max_steps` (appendix B), or
+    at its `max_time` where it has no last step.
 
     Args:
         preset: `base`, `paper` or `tiny`.
@@ -26,6 +30,7 @@ class ExpLogPretraining(L.LightningModule):
         learning_rate, weight_decay: the paper's by default.
         warmup: steps of linear warm-up (ours; the paper has none).
         start_from: packaged name or folder of weights to start from.
+        config: in the place of `preset`, as a `FieldConfig` or what its `to_dict` gives.
     """
 
     def __init__(
@@ -36,15 +41,20 @@ class ExpLogPretraining(L.LightningModule):
         weight_decay: float = 1e-4,
         warmup: int = 200,
         start_from: str | None = None,
+        config: FieldConfig | dict[str, Any] | None = None,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters(ignore=["losses"])
+        if isinstance(config, dict):
+            config = FieldConfig.from_dict(config)
+        self.save_hyperparameters(ignore=["losses", "config"])
+        if config is not None:  # checkpoints hold plain values
+            self.hparams["config"] = config.to_dict()
         self.losses = losses or LossWeights()
         self.learning_rate, self.weight_decay, self.warmup = learning_rate, weight_decay, warmup
         self.field = (
             ExpLogField.from_pretrained(start_from)
             if start_from
-            else ExpLogField(FieldConfig.preset(preset))
+            else ExpLogField(config or FieldConfig.preset(preset))
         )
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
@@ -89,10 +99,23 @@ class ExpLogPretraining(L.LightningModule):
         optimizer = torch.optim.AdamW(
             self.field.parameters(), self.learning_rate, weight_decay=self.weight_decay, fused=True
         )
-        steps = max(1, int(self.trainer.estimated_stepping_batches))
+        spent = self._spent()
 
         def factor(step: int) -> float:
-            return min((step + 1) / max(1, self.warmup), 1.0) * max(0.0, 1 - step / steps)
+            return min((step + 1) / max(1, self.warmup), 1.0) * max(0.0, 1 - spent(step))
 
         schedule = {"scheduler": LambdaLR(optimizer, factor), "interval": "step"}
         return {"optimizer": optimizer, "lr_scheduler": schedule}
+
+    def _spent(self) -> Callable[[int], float]:
+        """Share of the trainer's steps, or else of its time, that is spent at a step."""
+        steps = max(1, self.trainer.estimated_stepping_batches)
+        timers = [x for x in self.trainer.callbacks if isinstance(x, Timer)]  # pyright: ignore
+        if math.isfinite(steps) or not timers:
+            return lambda step: step / steps
+
+        def spent(step: int) -> float:
+            elapsed, left = timers[0].time_elapsed(), timers[0].time_remaining()
+            return 0.0 if left is None else elapsed / max(elapsed + left, 1e-9)
+
+        return spent

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+BACKBONES = ("octree", "pointnet")
+DECODERS = ("triplane", "siren")
+
 
 @dataclass(frozen=True)
 class BackboneConfig:
@@ -24,8 +27,13 @@ class BackboneConfig:
     """Residual blocks after each doubling."""
     embedding: int = 256
     """C, channels of the embedding z."""
+    kind: str = "octree"
+    """`octree`: the U-Net. `pointnet` (Tab. 5): MLPs per point, `encoder` wide before the pool over
+    the cloud and `decoder` wide after it; it has neither stem nor blocks."""
 
     def __post_init__(self) -> None:
+        if self.kind not in BACKBONES:
+            raise ValueError(f"kind must be one of {BACKBONES}, got {self.kind!r}")
         stages = len(self.encoder) - 1
         if not (len(self.decoder) - 1 == stages == len(self.encoder_blocks)):
             raise ValueError(
@@ -60,8 +68,12 @@ class HeadConfig:
     """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
     walk_steps: int = 8
     """Steps of the walked prior of Exp; 0: straight (q = p + v), as in the paper."""
+    decoder: str = "triplane"
+    """`triplane`, or `siren` (Tab. 5): a modulated sine network, without planes."""
 
     def __post_init__(self) -> None:
+        if self.decoder not in DECODERS:
+            raise ValueError(f"decoder must be one of {DECODERS}, got {self.decoder!r}")
         if self.layers < 2:
             raise ValueError(f"layers must be at least 2, got {self.layers}")
         if not self.anchored and (self.narrow or self.walk_steps):

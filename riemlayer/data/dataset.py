@@ -61,6 +61,7 @@ class ShapeDataset(Dataset):
         files: sample files.
         augmentation: what may happen to a cloud.
         sources, vectors: S and K of an item.
+        tau: threshold of the filter, Eq. (8); infinity: no filter.
     """
 
     def __init__(
@@ -69,9 +70,10 @@ class ShapeDataset(Dataset):
         augmentation: Augmentation,
         sources: int = 13,
         vectors: int = 768,
+        tau: float = 0.5,
     ) -> None:
         self.files, self.augmentation = list(files), augmentation
-        self.sources, self.vectors = sources, vectors
+        self.sources, self.vectors, self.tau = sources, vectors, tau
 
     def __len__(self) -> int:
         return len(self.files)
@@ -79,5 +81,11 @@ class ShapeDataset(Dataset):
     def __getitem__(self, item: tuple[int, int]) -> TrainingSample:
         i, seed = item
         generator = torch.Generator().manual_seed(seed)
-        sample = read_sample(self.files[i])
-        return training_sample(sample, self.augmentation, generator, self.sources, self.vectors)
+        return training_sample(
+            read_sample(self.files[i]),
+            self.augmentation,
+            generator,
+            self.sources,
+            self.vectors,
+            self.tau,
+        )

@@ -1,13 +1,16 @@
-"""Triplane hypernetworks and the two maps."""
+"""Triplane hypernetworks, the SIREN of the ablation, and the two maps."""
 
 from riemlayer.heads.maps import Embedding, ExpHead, LogHead, MapOutput
-from riemlayer.heads.triplane import TriplaneHypernetwork, sample_triplane
+from riemlayer.heads.siren import SirenDecoder
+from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork, sample_triplane
 
 __all__ = [
     "Embedding",
     "ExpHead",
     "LogHead",
     "MapOutput",
+    "SirenDecoder",
+    "TriplaneDecoder",
     "TriplaneHypernetwork",
     "sample_triplane",
 ]

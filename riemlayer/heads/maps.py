@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -11,7 +10,8 @@ from torch import Tensor, nn
 
 from riemlayer.config import HeadConfig
 from riemlayer.geometry import LocalPlanes, lay_flat, walk
-from riemlayer.heads.triplane import TriplaneHypernetwork, sample_triplane
+from riemlayer.heads.siren import SirenDecoder
+from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import Level, interpolate, interpolate_or_zero
 
@@ -19,9 +19,6 @@ TRAINED = 1.06
 """Longest vectors of the training data, in radii."""
 STEEPNESS = 50.0
 """Fall of the validity's logit a radius beyond that."""
-ROWS = 3072
-"""Queries whose hidden features are made at once where no gradient is asked for: what they take
-stays in a core's cache."""
 
 
 class Embedding(NamedTuple):
@@ -49,27 +46,8 @@ class MapOutput(NamedTuple):
     """(S, K) logit: the query lies before the cut locus."""
 
 
-class Decoder(nn.Module):
-    """Tiny MLP (Sec. 3.2, step 3): (..., in) -> hidden (..., width) -> (..., 3)."""
-
-    def __init__(self, inputs: int, config: HeadConfig) -> None:
-        super().__init__()
-        widths = [inputs, *[config.hidden] * (config.layers - 1)]
-        layers = []
-        for a, b in pairwise(widths):
-            layers += [nn.Linear(a, b), nn.GELU()]
-        self.body = nn.Sequential(*layers)
-        self.out = nn.Linear(config.hidden, 3)
-        if config.anchored:
-            nn.init.normal_(self.out.weight, std=0.01)
-
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        hidden = self.body(x)
-        return hidden, self.out(hidden).to(x.dtype)
-
-
 class MapHead(nn.Module):
-    """What both branches share: triplane, decoder, and a validity read from the hidden features.
+    """What both branches share: modulated decoder, and a validity read from its hidden features.
 
     Validity does not disturb the maps: it sees the hidden features without a gradient.
     """
@@ -77,27 +55,22 @@ class MapHead(nn.Module):
     def __init__(self, embedding: int, told: int, radius: float, config: HeadConfig) -> None:
         super().__init__()
         self.config, self.radius = config, radius
-        self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
-        self.decoder = Decoder(3 * config.channels + 3 + told, config)
+        if config.decoder == "siren":
+            self.planes, self.decoder = nn.Identity(), SirenDecoder(embedding, 3 + told, config)
+        else:
+            self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
+            self.decoder = TriplaneDecoder(3 + told, config)
         self.valid = nn.Linear(config.hidden, 1)
 
     def decode(self, z: Tensor, x: Tensor, *told: Tensor) -> tuple[Tensor, Tensor]:
-        """Decoder on triplane features at `x` (S, K, 3), `x` itself and what else it is told.
+        """The decoder, modulated by `z` (S, C), at `x` (S, K, 3), with what else it is told.
 
         Returns its answer (S, K, 3) and the validity's logit (S, K).
         """
-        x = x / self.radius
-        features = sample_triplane(self.planes(z), x)
-        inputs = (y.contiguous() for y in (features.to(x.dtype), x, *told))  # else cat is slow
-        rows = torch.cat([*inputs], -1).flatten(0, 1)
-        size = max(1, len(rows)) if torch.is_grad_enabled() else ROWS
-        parts = [self._read(part) for part in rows.split(size)]
-        vector, logit = (torch.cat(part) for part in zip(*parts, strict=True))
-        return vector.view(x.shape), logit.view(x.shape[:2])
+        return self.decoder(self.planes(z), x / self.radius, told, self._logit)
 
-    def _read(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        hidden, vector = self.decoder(rows)
-        return vector, self.valid(hidden.detach()).squeeze(-1).to(rows.dtype)
+    def _logit(self, hidden: Tensor) -> Tensor:
+        return self.valid(hidden.detach()).squeeze(-1)
 
     def validity(self, logit: Tensor, v: Tensor) -> Tensor:
         """The logit (S, K), lowered where the tangent vector `v` (S, K, 3) is too long."""

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from riemlayer.config import HeadConfig
 from riemlayer.numerics import weighted_rows
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 """Coordinates of the planes xy, xz, yz."""
 FEW = 16
 """Sources for which casting the hypernetwork's weights would take longer than the product."""
+ROWS = 3072
+"""Queries whose hidden features are made at once where no gradient is asked for: what they take
+stays in a core's cache."""
 
 
 def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
@@ -78,3 +84,40 @@ class TriplaneHypernetwork(nn.Module):
     def extra_repr(self) -> str:
         _, r, _, c = self.shape
         return f"{self.linear.in_features} -> 3x{c}x{r}x{r}"
+
+
+class TriplaneDecoder(nn.Module):
+    """Tiny MLP on the triplane's features at a query (Sec. 3.2, steps 2 and 3).
+
+    Args:
+        inputs: channels of the query and of what else the decoder is told.
+        config: planes, width and layers.
+
+    Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...) -> (S, K, 3), and what `read`
+    makes of the hidden features, (N, width) -> (N,), as (S, K).
+    """
+
+    def __init__(self, inputs: int, config: HeadConfig) -> None:
+        super().__init__()
+        widths = [3 * config.channels + inputs, *[config.hidden] * (config.layers - 1)]
+        layers = []
+        for a, b in pairwise(widths):
+            layers += [nn.Linear(a, b), nn.GELU()]
+        self.body = nn.Sequential(*layers)
+        self.out = nn.Linear(config.hidden, 3)
+        if config.anchored:
+            nn.init.normal_(self.out.weight, std=0.01)
+
+    def forward(
+        self, planes: Tensor, x: Tensor, told: tuple[Tensor, ...], read: Callable[[Tensor], Tensor]
+    ) -> tuple[Tensor, Tensor]:
+        features = sample_triplane(planes, x)
+        inputs = (y.contiguous() for y in (features.to(x.dtype), x, *told))  # else cat is slow
+        rows = torch.cat([*inputs], -1).flatten(0, 1)
+        size = max(1, len(rows)) if torch.is_grad_enabled() else ROWS
+        answers, readings = [], []
+        for part in rows.split(size):
+            hidden = self.body(part)
+            answers.append(self.out(hidden).to(x.dtype))
+            readings.append(read(hidden).to(x.dtype))
+        return torch.cat(answers).view(x.shape), torch.cat(readings).view(x.shape[:2])
