@@ -11,8 +11,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 
-from riemlayer.tables.machine import machine as machine
-
 ROOT = Path(__file__).parents[1]
 
 

@@ -19,9 +19,10 @@ import numpy as np
 import torch
 
 from benchmarks import tasks
-from benchmarks.measure import machine, median_seconds, python, warn_if_busy, write_results
+from benchmarks.measure import median_seconds, python, warn_if_busy, write_results
 from benchmarks.speed import RESULTS, duration, size
 from riemlayer import ExpLogField
+from riemlayer.tables.machine import machine
 
 DENSER = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 BATCHES = (1, 2, 4, 8, 16, 33, 67)

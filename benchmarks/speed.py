@@ -23,7 +23,6 @@ from torch import Tensor
 
 from benchmarks import tasks
 from benchmarks.measure import (
-    machine,
     median_seconds,
     python,
     warn_if_busy,
@@ -32,6 +31,7 @@ from benchmarks.measure import (
 from riemlayer import ExpLogField
 from riemlayer.baselines import Walking
 from riemlayer.losses import LossWeights
+from riemlayer.tables.machine import machine
 
 RESULTS = Path(__file__).parent / "results"
 OCNN, SET_UP, WARM, TRACING = (
