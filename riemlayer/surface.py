@@ -52,9 +52,8 @@ class EncodedSurface(Calculus):
     decodes K queries for each of S sources, and generates the planes of each source once.
 
     Beyond the trained radius (`surface.radius`) answers are extrapolations of low validity. A base
-    point off the cloud's support reads the nearest embedding and has `in_support` False. For a
-    packed batch, either index the surface (`surface[i]`) or pass `shape`, the index of the cloud
-    that each base point belongs to.
+    point off the cloud's support reads the nearest embedding and has `in_support` False. Of a
+    packed batch, take `surface[i]`, or pass `shape`, the cloud that each base point belongs to.
 
     >>> from riemlayer import ExpLogField
     >>> field = ExpLogField.from_preset("tiny")
@@ -210,18 +209,17 @@ class EncodedSurface(Calculus):
 
     def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Unit normals (..., 3) of the cloud's blended planes; their sign has no meaning (ours)."""
-        x, index = self._in_cube(p, shape)
-        return self.embedding.planes.normal(x, index).view(p.shape)
+        x, index, batch = self._in_cube(p, shape)
+        return self.embedding.planes.normal(x, index).view(*batch, 3)
 
     def snap(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Points (..., 3) dropped onto the cloud's blended planes, in three rounds (ours).
 
         A point without a plane nearby starts from the nearest leaf's centre.
         """
-        x, index = self._in_cube(p, shape)
+        x, index, batch = self._in_cube(p, shape)
         x = self.embedding.planes.drop(x, index)
-        flat = self._shape_of(p, shape).expand(p.shape[:-1])
-        return self.centre[flat] + self.scale[flat][..., None] * x.view(p.shape)
+        return (self.centre[index] + self.scale[index][:, None] * x).view(*batch, 3)
 
     def at(self, index: Tensor) -> EncodedSurface:
         """The same surface with fewer points of its own: those of `index` (M,), ascending."""
@@ -278,15 +276,18 @@ class EncodedSurface(Calculus):
         return shape
 
     def _in_support(self, p: Tensor, shape: Tensor | None, batch: torch.Size) -> Tensor:
-        x, index = self._in_cube(p, shape)
+        x, index, own = self._in_cube(p, shape)
         inside = (x.abs() <= HALF_WIDTH).all(-1)
         near = corners(self.embedding.level, x, index).in_support
-        return (near & inside).view(p.shape[:-1]).expand(batch)
+        return (near & inside).view(own).expand(batch)
 
-    def _in_cube(self, p: Tensor, shape: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Points (Q, 3) in the cube, and the cloud (Q,) that each belongs to."""
-        index = self._shape_of(p, shape).expand(p.shape[:-1]).flatten()
-        return (p.reshape(-1, 3) - self.centre[index]) / self.scale[index][:, None], index
+    def _in_cube(self, p: Tensor, shape: Tensor | None) -> tuple[Tensor, Tensor, torch.Size]:
+        """Points (Q, 3) in the cube, the cloud (Q,) of each, and their batch shape."""
+        index = self._shape_of(p, shape)
+        batch = torch.broadcast_shapes(index.shape, p.shape[:-1])
+        index = index.expand(batch).flatten()
+        x = p.expand(*batch, 3).reshape(-1, 3)
+        return (x - self.centre[index]) / self.scale[index][:, None], index, batch
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> EncodedSurface:
         return replace(

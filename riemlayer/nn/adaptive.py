@@ -65,7 +65,7 @@ class AdaptiveGeodesicConv(PolarConv):
 
     def forward(self, x: Tensor, geometry: LocalGeometry, surface: EncodedSurface) -> Tensor:
         check_features(x, geometry, self.centre.in_features)
-        points, _, shape = surface.own_points()
+        points, shape = surface.points, surface.batch
         if len(points) != geometry.points:
             raise ValueError(
                 f"surface must be the one that the geometry of {geometry.points} points was made "

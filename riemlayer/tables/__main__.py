@@ -67,23 +67,23 @@ def main(argv: Sequence[str] | None = None) -> None:
 def ablated(
     folder: Path, shapes: dict[str, list[Path]], sources: int | None, rows: Rows
 ) -> tuple[dict, str]:
-    """Tables 3, 5 and ours: the fields that `lightning_modules.ablation` trained, on one group.
+    """Tables 3, 5 and ours: the fields that `lightning_modules.ablation` trained, group by group.
 
     Raises:
         FileNotFoundError: the folder holds no ablation.json.
     """
     facts = json.loads((folder / "ablation.json").read_text("utf-8"))["variants"]
-    group = "manmade" if "manmade" in shapes else next(iter(shapes))
     weights = {name: str(folder / name) for name in facts}
-    results = run({group: shapes[group]}, systems(list(weights), weights), sources, rows)
+    results = run(shapes, systems(list(weights), weights), sources, rows)
     tables = {}
     for name, row in facts.items():
         tables.setdefault(row["table"], []).append(name)
     parts = [
-        render.ablation_table(results, facts, variants, group, title)
+        render.ablation_table(results, facts, variants, group, f"{title}: {group}")
         for title, variants in tables.items()
+        for group in render.ordered(results)
     ]
-    return {"facts": facts, "group": group, "methods": results}, "\n\n".join(parts)
+    return {"facts": facts, "methods": results}, "\n\n".join(parts)
 
 
 def draw(

@@ -43,7 +43,8 @@ NOTES = (
     "Log end: mean |Log_p(Exp_p v) - v| at traced end points. It ranks methods where curvature "
     "makes the angles and distances of the true log map itself bad.",
     "Differentials at the source are difference quotients over 0.02, on which curvature leaves "
-    "0.04 even in the truth; the derivative of our maps at the source is the identity by construction.",
+    "0.04 even in the truth; the derivative of our maps at the source is the identity by "
+    "construction.",
     "Times are medians, and compare only within one run. Paper's numbers are for other shapes, "
     "another machine, and times per query there.",
 )
