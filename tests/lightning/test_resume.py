@@ -39,7 +39,7 @@ class KilledError(Exception):
     pass
 
 
-def run(folder, where, kill_at: int | None = None, resume: bool = False) -> Watch:
+def run(folder, where, kill_at: int | None = None, resume: bool = False, workers: int = 0) -> Watch:
     """Train a tiny field; the checkpoint of the last step stays in `where`."""
     torch.manual_seed(1)
     watch = Watch(kill_at)
@@ -63,6 +63,7 @@ def run(folder, where, kill_at: int | None = None, resume: bool = False) -> Watc
         vectors=16,
         augmentation=Augmentation(points=(600, 800)),
         validation=0.2,
+        workers=workers,
     )
     model = ExpLogPretraining("tiny", weights, warmup=3)
     trainer.fit(model, data, ckpt_path=where / "last.ckpt" if resume else None)
@@ -102,6 +103,17 @@ def test_a_killed_run_goes_on_to_the_same_losses(folder, undisturbed, tmp_path, 
     average = ExpLogField.from_pretrained(tmp_path / "average").state_dict()
     for name, x in average.items():
         assert torch.equal(x, undisturbed.average[name]), name
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # forked while threads run
+def test_with_workers_too_that_have_fetched_ahead(folder, undisturbed, tmp_path):
+    with pytest.raises(KilledError):
+        run(folder, tmp_path, kill_at=4, workers=2)
+    resumed = run(folder, tmp_path, resume=True, workers=2)
+    assert sorted(resumed.losses) == list(range(4, STEPS + 1))
+    for step, loss in resumed.losses.items():
+        assert loss == undisturbed.losses[step], f"step {step}"
 
 
 def test_exported_weights_are_the_average_and_the_card_counts(folder, undisturbed, tmp_path):
