@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F
@@ -185,3 +186,12 @@ def grid_sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
         sampled = F.grid_sample(plane.movedim(-1, 1), at, padding_mode="border", align_corners=True)
         parts.append(sampled.squeeze(-1).mT)
     return torch.cat(parts, -1)
+
+
+def flat_grid(n=41):
+    """Vertices and faces of a square of side 2 in the plane z = 0."""
+    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
+    vertices = np.stack([x, y, 0 * x], -1).reshape(-1, 3)
+    a = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
+    faces = [np.stack([a, a + n, a + 1], -1), np.stack([a + 1, a + n, a + n + 1], -1)]
+    return vertices, np.concatenate(faces)

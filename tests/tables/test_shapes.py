@@ -7,6 +7,7 @@ import pytest
 import torch
 import trimesh
 from joblib.externals.loky import get_reusable_executor
+from references import flat_grid
 
 from riemlayer.data.closed_form import Sphere
 from riemlayer.tables import shapes, truth
@@ -56,15 +57,6 @@ def arrays(path):
 
 def length(x):
     return np.linalg.norm(x, axis=-1)
-
-
-def flat_grid(n=41):
-    """A square of side 2 in the plane z = 0."""
-    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
-    vertices = np.stack([x, y, 0 * x], -1).reshape(-1, 3)
-    a = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
-    faces = [np.stack([a, a + n, a + 1], -1), np.stack([a + 1, a + n, a + n + 1], -1)]
-    return vertices, np.concatenate(faces)
 
 
 # The truth of one mesh
