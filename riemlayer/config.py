@@ -59,7 +59,7 @@ class HeadConfig:
     channels: int = 8
     """Channels of a plane."""
     hidden: int = 128
-    """Width of the decoder; the paper's 256 costs twice the time for the same error."""
+    """Width of the decoder; the paper's is 256."""
     layers: int = 3
     """Linear layers of the decoder."""
     anchored: bool = True

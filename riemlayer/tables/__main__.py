@@ -34,6 +34,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = _parser().parse_args(argv)
     out: Path = options.out
     try:
+        if options.ablations and not (options.ablations / "ablation.json").is_file():
+            raise ValueError(f"--ablations must hold ablation.json, {options.ablations} does not")
         folder = _prepared(options.directory, out / "shapes", options.fast)
         groups = options.groups.split(",") if options.groups else None
         limit = options.limit or (1 if options.fast else None)
@@ -67,11 +69,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 def ablated(
     folder: Path, shapes: dict[str, list[Path]], sources: int | None, rows: Rows
 ) -> tuple[dict, str]:
-    """Tables 3, 5 and ours: the fields that `lightning_modules.ablation` trained, group by group.
-
-    Raises:
-        FileNotFoundError: the folder holds no ablation.json.
-    """
+    """Tables 3, 5 and ours: what `lightning_modules.ablation` trained, group by group."""
     facts = json.loads((folder / "ablation.json").read_text("utf-8"))["variants"]
     weights = {name: str(folder / name) for name in facts}
     results = run(shapes, systems(list(weights), weights), sources, rows)

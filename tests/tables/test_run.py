@@ -236,6 +236,7 @@ def test_the_command_writes_the_tables(directory, tmp_path, capsys):
     ("arguments", "words"),
     [
         ("--methods heet", "methods must be among heat, "),
+        ("--ablations nowhere", "--ablations must hold ablation.json, nowhere does not"),
         ("--methods floor --groups nowhere", r"found none in \['nowhere'\]"),
     ],
 )
