@@ -66,8 +66,9 @@ class HeadConfig:
     """Anchored residual maps, exact at the source (ours); False: the paper's plain decoder."""
     narrow: int = 32
     """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
-    walk_steps: int = 8
-    """Steps of the walked prior of Exp; 0: straight (q = p + v), as in the paper."""
+    walk_steps: tuple[int, ...] = (8, 16)
+    """Steps of the walked priors of Exp: over planes half as large as the leaves, a quarter as
+    large, and so on; (): straight (q = p + v), as in the paper."""
     decoder: str = "triplane"
     """`triplane`, or `siren` (Tab. 5): a modulated sine network, without planes."""
 
@@ -78,6 +79,11 @@ class HeadConfig:
             raise ValueError(f"layers must be at least 2, got {self.layers}")
         if not self.anchored and (self.narrow or self.walk_steps):
             raise ValueError("narrow and walk_steps refine the anchored maps: set anchored=True")
+        if not isinstance(self.walk_steps, tuple) or any(n < 1 for n in self.walk_steps):
+            raise ValueError(
+                "walk_steps must be a tuple of step numbers of at least 1, () for a straight "
+                f"prior, got {self.walk_steps!r}"
+            )
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,10 @@ class FieldConfig:
         backbone = BackboneConfig(
             depth=6, stem=0, encoder=(64, 64, 64, 128), decoder=(128, 128, 128, 128)
         )
-        return cls(backbone, HeadConfig(hidden=256, anchored=False, narrow=0, walk_steps=0))
+        return cls(
+            backbone,
+            HeadConfig(hidden=256, anchored=False, narrow=0, walk_steps=()),
+        )
 
     @classmethod
     def tiny(cls) -> FieldConfig:
@@ -115,7 +124,8 @@ class FieldConfig:
             embedding=48,
         )
         return cls(
-            backbone, HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=4)
+            backbone,
+            HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8)),
         )
 
     @classmethod
@@ -134,14 +144,19 @@ class FieldConfig:
     def from_dict(cls, values: dict) -> FieldConfig:
         """Inverse of `to_dict`; unknown names raise."""
         try:
-            tuples: dict[str, Any] = {
-                k: tuple(v) if isinstance(v, list) else v for k, v in values["backbone"].items()
-            }
+            head = _tuples(values["head"])
+            if isinstance(walk := head.get("walk_steps"), int):  # before there were several walks
+                head["walk_steps"] = (walk,) if walk else ()
             return replace(
                 cls(),
-                backbone=BackboneConfig(**tuples),
-                head=HeadConfig(**values["head"]),
+                backbone=BackboneConfig(**_tuples(values["backbone"])),
+                head=HeadConfig(**head),
                 **{k: v for k, v in values.items() if k not in ("backbone", "head")},
             )
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"not the configuration of an ExpLogField: {error}") from error
+
+
+def _tuples(values: dict) -> dict[str, Any]:
+    """As JSON holds them, with tuples for lists."""
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}

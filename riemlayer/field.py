@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from riemlayer import checks
 from riemlayer.backbone import make_backbone
 from riemlayer.config import FieldConfig
-from riemlayer.geometry import local_planes
+from riemlayer.geometry import planes_at_scales
 from riemlayer.heads import Embedding, ExpHead, LogHead
 from riemlayer.octree import build_octree
 from riemlayer.storage import Pretrained
@@ -104,15 +104,20 @@ class ExpLogField(Pretrained, nn.Module):
     def embed(self, points: Tensor, batch: Tensor) -> Embedding:
         """Embedding field of packed clouds (N, 3) that already lie in the cube."""
         backbone = self.config.backbone
-        finest = backbone.depth + 1
+        scales = max(1, len(self.config.head.walk_steps))
         octree = build_octree(
-            points, batch, finest, coarsest=backbone.depth - len(backbone.encoder) + 1
+            points,
+            batch,
+            backbone.depth + scales,
+            coarsest=backbone.depth - len(backbone.encoder) + 1,
         )
         with self.half_precision():
-            planes = local_planes(points, octree)
-            z = self.backbone(points, octree, planes)
+            planes = planes_at_scales(points, octree, scales)
+            z = self.backbone(points, octree, planes[0])
             narrow = None if self.narrow is None else self.narrow(z).to(points.dtype)
-        return Embedding(z.to(points.dtype), narrow, octree.level(backbone.depth), planes)
+        return Embedding(
+            z.to(points.dtype), narrow, octree.level(backbone.depth), planes[0], planes[1:]
+        )
 
     def forward(
         self,

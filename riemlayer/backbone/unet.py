@@ -73,7 +73,7 @@ class OctreeUNet(nn.Module):
     def forward(self, points: Tensor, octree: Octree, planes: LocalPlanes) -> Tensor:
         depths = range(self.config.depth, self.config.depth - len(self.config.encoder), -1)
         levels = [octree.level(d) for d in depths]
-        node = octree.leaf
+        node = octree.node(planes.fine.level.depth)
         x = self.stem(points, octree.node(self.config.depth), levels[0], planes, node)
         x = self.enter(x, levels[0])
         skips = []

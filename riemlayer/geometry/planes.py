@@ -177,14 +177,25 @@ def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
     Args:
         points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
     """
-    levels = [octree.level(octree.depth - i) for i in range(3)]
+    return planes_at_scales(points, octree, 1)[0]
+
+
+def planes_at_scales(points: Tensor, octree: Octree, scales: int) -> tuple[LocalPlanes, ...]:
+    """Local planes at several scales, the coarsest first and the finest nodes' last (ours).
+
+    Args:
+        points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
+        scales: how many, each of half the cell size of the one before.
+    """
+    levels = [octree.level(octree.depth - i) for i in range(scales + 2)]
     single = Moments(torch.ones_like(points[:, :1]), points, points.new_zeros(len(points), 6))
     moments = [single.merged(octree.leaf, len(levels[0]))]
     for fine, coarse in pairwise(levels):
         assert fine.parent is not None  # the octree goes below these levels
         moments.append(moments[-1].merged(fine.parent, len(coarse)))
     around = [m.around(level) for m, level in zip(moments, levels, strict=True)]
-    return LocalPlanes(*(_plane_level(levels[i], moments[i], *around[i : i + 2]) for i in (0, 1)))
+    planes = [_plane_level(levels[i], moments[i], *around[i : i + 2]) for i in range(scales + 1)]
+    return tuple(LocalPlanes(fine, coarse) for fine, coarse in reversed([*pairwise(planes)]))
 
 
 def _plane_level(level: Level, moments: Moments, around: Moments, wide: Moments) -> PlaneLevel:

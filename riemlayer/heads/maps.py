@@ -30,11 +30,14 @@ class Embedding(NamedTuple):
     """(n, narrow) a few channels of them, read at end points."""
     level: Level
     planes: LocalPlanes
+    finer: tuple[LocalPlanes, ...] = ()
+    """Planes of half the size, a quarter, and so on, for further walks."""
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Embedding:
         """The same with `change` applied to every tensor that depends on the cloud."""
         narrow = None if self.narrow is None else change(self.narrow)
-        return Embedding(change(self.z), narrow, self.level.map(change), self.planes.map(change))
+        planes, *finer = (x.map(change) for x in (self.planes, *self.finer))
+        return Embedding(change(self.z), narrow, self.level.map(change), planes, tuple(finer))
 
 
 class MapOutput(NamedTuple):
@@ -46,26 +49,74 @@ class MapOutput(NamedTuple):
     """(S, K) logit: the query lies before the cut locus."""
 
 
+class Prepared(NamedTuple):
+    """What a head looked up in the field: all that its decoder needs to answer K queries a source.
+
+    Of an anchored head the first of the 1 + K rows is the source itself, x = 0.
+    """
+
+    z: Tensor
+    """(S, C) embeddings at the sources."""
+    x: Tensor
+    """(S, 1 + K, 3): v for Exp, q - p for Log; (S, K, 3) where the head is not anchored."""
+    priors: tuple[Tensor, ...] = ()
+    """(S, 1 + K, 3) each: what the answer might be without learning; none: not anchored."""
+    told: tuple[Tensor, ...] = ()
+    """(S, 1 + K, ...) what else the decoder is told."""
+
+
 class MapHead(nn.Module):
     """What both branches share: modulated decoder, and a validity read from its hidden features.
 
+    `prepare` looks up in the field, octree and planes; `answer` is a function of what it found.
     Validity does not disturb the maps: it sees the hidden features without a gradient.
     """
 
-    def __init__(self, embedding: int, told: int, radius: float, config: HeadConfig) -> None:
+    def __init__(
+        self, embedding: int, told: int, radius: float, config: HeadConfig, priors: int = 1
+    ) -> None:
         super().__init__()
         self.config, self.radius = config, radius
+        channels = (3 + told, config, 2 + priors)  # in, and out: f and what weighs the priors
         if config.decoder == "siren":
-            self.planes, self.decoder = nn.Identity(), SirenDecoder(embedding, 3 + told, config)
+            self.planes, self.decoder = nn.Identity(), SirenDecoder(embedding, *channels)
         else:
             self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
-            self.decoder = TriplaneDecoder(3 + told, config)
+            self.decoder = TriplaneDecoder(*channels)
         self.valid = nn.Linear(config.hidden, 1)
+
+    def forward(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> MapOutput:
+        """Answer to K queries (S, K, 3), v for Exp and q for Log, at each of the sources (S, 3)."""
+        return self.answer(*self.prepare(field, p, x, shape))
+
+    def prepare(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> Prepared:
+        """What `answer` takes."""
+        raise NotImplementedError
+
+    def answer(
+        self,
+        z: Tensor,
+        x: Tensor,
+        priors: tuple[Tensor, ...] = (),
+        told: tuple[Tensor, ...] = (),
+    ) -> MapOutput:
+        """prior + |x| (f(x) - f(0)), or f(x) where not anchored, from the entries of `Prepared`."""
+        vector, logit = self.decode(z, x, *told)
+        if priors:
+            vector, shares = vector[..., :3], vector[..., 3:].sigmoid()
+            prior = mixed(priors, shares)
+            vector = (prior + safe_norm(x) * (vector - vector[:, :1]))[:, 1:]
+            x, logit = x[:, 1:], logit[:, 1:]
+        return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
+
+    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
+        """Which of query and answer is the tangent vector."""
+        raise NotImplementedError
 
     def decode(self, z: Tensor, x: Tensor, *told: Tensor) -> tuple[Tensor, Tensor]:
         """The decoder, modulated by `z` (S, C), at `x` (S, K, 3), with what else it is told.
 
-        Returns its answer (S, K, 3) and the validity's logit (S, K).
+        Returns its answer (S, K, 2 + priors) and the validity's logit (S, K).
         """
         return self.decoder(self.planes(z), x / self.radius, told, self._logit)
 
@@ -81,42 +132,50 @@ class MapHead(nn.Module):
 class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
-    The walk over the cloud's planes is the prior; f sees the triplane of z(p) at v, the walked end
-    point, direction and normal, the normal at p and the narrow embedding where the walk landed.
-    Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet:
-    q = p + f(v).
+    Walks over the cloud's planes are the prior: one over wide planes, which noise does not disturb,
+    and one over planes of half the size, which sees detail; the decoder weighs their ends. It sees
+    the triplane of z(p) at v, the walked end points, directions and normals, the normal at p and
+    the narrow embedding where the first walk landed. Exp_p(0) = p and d(Exp_p)_0 = I by
+    construction. With `anchored=False` it is the paper's ExpNet: q = p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        super().__init__(embedding, 18 + config.narrow if config.anchored else 0, radius, config)
+        priors = max(1, len(config.walk_steps))
+        told = 6 + 12 * priors + config.narrow if config.anchored else 0
+        super().__init__(embedding, told, radius, config, priors)
 
-    def forward(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> MapOutput:
+    def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         if not self.config.anchored:
-            vector, logit = self.decode(z, v)
-            return MapOutput(vector, self.validity(logit, v))
+            return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
-        moved, turned, normals = self.prior(field, p, v, shape)
-        landed = read_narrow(field, p[:, None] + moved, shape)
-        told = ((moved - v) / self.radius, turned / self.radius, normals, landed)
-        f, logit = self.decode(z, v, *told)
-        vector = moved + safe_norm(v) * (f - f[:, :1])
-        return MapOutput(vector[:, 1:], self.validity(logit[:, 1:], v[:, 1:]))
-
-    def prior(
-        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Where the prior ends (S, K, 3), v carried there, the normals at both ends (S, K, 12)."""
         normal = field.planes.normal(p, shape)
         here = outer6(normal)[:, None].expand(-1, v.shape[1], -1)
-        if not self.config.walk_steps:
-            return v, v, torch.cat((here, here), -1)
+        walks = self.walks(field, p, v, shape, normal)
+        (moved, turned, there), *finer = walks
+        landed = read_narrow(field, p[:, None] + moved, shape)
+        told = [(moved - v) / self.radius, turned / self.radius, there, here, landed]
+        for again, turned, there in finer:
+            told += [(again - moved) / self.radius, turned / self.radius, there]
+        return Prepared(z, v, tuple(end for end, _, _ in walks), tuple(told))
+
+    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
+        return x
+
+    def walks(
+        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, normal: Tensor
+    ) -> list[tuple[Tensor, Tensor, Tensor]]:
+        """Of each prior: where it ends (S, K, 3), v carried there, and the normal (S, K, 6)."""
         start, normal = (y[:, None].expand_as(v).reshape(-1, 3) for y in (p, normal))
+        if not self.config.walk_steps:
+            return [(v, v, outer6(normal).unflatten(0, v.shape[:2]))]
         index = shape[:, None].expand(v.shape[:2]).flatten()
-        end = walk(field.planes, start, v.flatten(0, 1), index, self.config.walk_steps, normal)
-        there = outer6(end.normal).unflatten(0, v.shape[:2])
-        moved, turned = (end.point - start).view_as(v), end.vector.view_as(v)
-        return moved, turned, torch.cat((there, here), -1)
+        walks = []
+        for planes, steps in zip((field.planes, *field.finer), self.config.walk_steps, strict=True):
+            end = walk(planes, start, v.flatten(0, 1), index, steps, normal)
+            there = outer6(end.normal).unflatten(0, v.shape[:2])
+            walks.append(((end.point - start).view_as(v), end.vector.view_as(v), there))
+        return walks
 
 
 class LogHead(MapHead):
@@ -131,20 +190,28 @@ class LogHead(MapHead):
         told = 9 + 2 * config.narrow if config.anchored else 0
         super().__init__(embedding, told, radius, config)
 
-    def forward(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> MapOutput:
+    def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         x = q - p[:, None]
         if not self.config.anchored:
-            vector, logit = self.decode(z, x)
-            return MapOutput(vector, self.validity(logit, vector))
+            return Prepared(z, x)
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
         here = outer6(normal)[:, None].expand(-1, x.shape[1], -1)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        h, logit = self.decode(z, x, (flat - x) / self.radius, here, *passed)
-        vector = (flat + safe_norm(x) * (h - h[:, :1]))[:, 1:]
-        return MapOutput(vector, self.validity(logit[:, 1:], vector))
+        return Prepared(z, x, (flat,), ((flat - x) / self.radius, here, *passed))
+
+    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
+        return vector
+
+
+def mixed(priors: tuple[Tensor, ...], shares: Tensor) -> Tensor:
+    """The first prior (S, K, 3), moved by its share (S, K, priors - 1) towards each of the rest."""
+    prior, *rest = priors
+    for other, share in zip(rest, shares.split(1, -1), strict=False):
+        prior = prior + share * (other - prior)
+    return prior
 
 
 def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:

@@ -10,9 +10,10 @@ from riemlayer.heads import MapOutput
 from riemlayer.heads.maps import read_narrow
 
 HEADS = {
-    "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=4),
-    "straight": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=0),
-    "told nothing": HeadConfig(resolution=8, channels=4, hidden=32, narrow=0, walk_steps=0),
+    "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4,)),
+    "walked twice": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8)),
+    "straight": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=()),
+    "told nothing": HeadConfig(resolution=8, channels=4, hidden=32, narrow=0, walk_steps=()),
 }
 
 

@@ -14,8 +14,8 @@ from riemlayer.heads import SirenDecoder
 TINY = FieldConfig.tiny()
 HEADS = {
     "anchored": replace(TINY.head, decoder="siren"),
-    "straight": replace(TINY.head, decoder="siren", narrow=0, walk_steps=0),
-    "plain": replace(TINY.head, decoder="siren", narrow=0, walk_steps=0, anchored=False),
+    "straight": replace(TINY.head, decoder="siren", narrow=0, walk_steps=()),
+    "plain": replace(TINY.head, decoder="siren", narrow=0, walk_steps=(), anchored=False),
 }
 MAPS = ["exp", "log"]
 

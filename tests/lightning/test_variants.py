@@ -28,7 +28,7 @@ def shrunk(variant: Variant) -> Variant:
             decoder=head.decoder,
             anchored=head.anchored,
             narrow=8 if head.narrow else 0,
-            walk_steps=4 if head.walk_steps else 0,
+            walk_steps=TINY.head.walk_steps[: len(head.walk_steps)],
         ),
     )
     return replace(variant, config=config)
