@@ -17,14 +17,23 @@ from riemlayer.losses import Truth
 
 
 class Batch:
-    """A packed batch of clouds and their ground truth."""
+    """A packed batch of clouds and their ground truth, where there is any."""
 
-    def __init__(self, points: Tensor, batch: Tensor, truth: Truth) -> None:
-        self.points, self.batch, self.truth = points, batch, truth
+    def __init__(self, points: Tensor, batch: Tensor, truth: Truth | None) -> None:
+        self.points, self.batch, self._truth = points, batch, truth
+
+    @property
+    def truth(self) -> Truth:
+        """Raises ValueError where there is none."""
+        if self._truth is None:
+            raise ValueError("the clouds have no ground truth: train with self_supervised=True")
+        return self._truth
 
     def to(self, device: torch.device) -> Batch:
         """The same batch on another device."""
-        truth = Truth(*(getattr(self.truth, f.name).to(device) for f in fields(Truth)))
+        truth = self._truth
+        if truth is not None:
+            truth = Truth(*(getattr(truth, f.name).to(device) for f in fields(Truth)))
         return Batch(self.points.to(device), self.batch.to(device), truth)
 
 

@@ -97,7 +97,7 @@ class ExpLogPretraining(L.LightningModule):
 
     def configure_optimizers(self) -> dict[str, Any]:
         optimizer = torch.optim.AdamW(
-            self.field.parameters(), self.learning_rate, weight_decay=self.weight_decay, fused=True
+            self.parameter_groups(), self.learning_rate, weight_decay=self.weight_decay, fused=True
         )
         spent = self._spent()
 
@@ -106,6 +106,10 @@ class ExpLogPretraining(L.LightningModule):
 
         schedule = {"scheduler": LambdaLR(optimizer, factor), "interval": "step"}
         return {"optimizer": optimizer, "lr_scheduler": schedule}
+
+    def parameter_groups(self) -> list[dict[str, Any]]:
+        """What the optimiser moves, and at which rates."""
+        return [{"params": list(self.field.parameters())}]
 
     def _spent(self) -> Callable[[int], float]:
         """Share of the trainer's steps, or else of its time, that is spent at a step."""

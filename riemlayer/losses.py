@@ -180,3 +180,45 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
         )
         total = total + weights.validity * terms["validity"]
     return {"total": total, **terms}
+
+
+def self_supervised_losses(
+    surface: EncodedSurface, weights: LossWeights, sources: int = 16, vectors: int = 64
+) -> dict[str, Tensor]:
+    """Eqs (3) and (4) alone, for clouds without ground truth (ours), by name.
+
+    Each cloud gives `sources` of its points, each with `vectors` random tangent vectors up to the
+    trained radius. Eq. (3) is averaged over every eighth vector, in its tangent form.
+
+    Args:
+        surface: encoded clouds, in the normalised cube.
+        weights: those of `cyc` and `geo` count.
+        sources, vectors: S of a cloud, and K.
+    """
+    counts = surface.batch.bincount()
+    first = (counts.cumsum(0) - counts).repeat_interleave(sources)
+    shape = torch.arange(len(counts), device=counts.device).repeat_interleave(sources)
+    drawn = torch.rand(len(shape), device=counts.device) * counts[shape]
+    p = surface.points[first + drawn.long()].detach()[:, None]  # (S, 1, 3)
+    shape = shape[:, None]
+    axes = surface.frame(p, shape=shape)[..., :2].detach()
+    flat = F.normalize(torch.randn(len(p), vectors, 2, device=p.device, dtype=p.dtype), dim=-1)
+    length = torch.rand(len(p), vectors, 1, device=p.device, dtype=p.dtype)
+    v = (axes @ flat[..., None]).squeeze(-1) * length * surface.radius_at(p, shape)[..., None]
+    scale = surface.scale[shape][..., None]
+    terms, total = {}, v.new_zeros(())
+    if weights.cyc:
+        end, _ = surface.decode_exp(p, v, shape)
+        back, _ = surface.decode_log(p, end, shape)
+        weight = torch.ones_like(length).squeeze(-1)
+        terms["cycle"] = cycle_loss(back / scale, v / scale, weight)
+        total = total + weights.cyc * terms["cycle"]
+    if weights.geo:
+        end, J_exp = surface.jacobian_exp(p, v[:, ::8], shape=shape)
+        end = end.detach()
+        _, J_log = surface.jacobian_log(p, end, shape=shape)
+        there = surface.frame(end, shape=shape)[..., :2].detach()
+        for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
+            terms[name] = loss(J_exp @ axes) + loss(J_log @ there)
+            total = total + weights.geo * terms[name]
+    return {"total": total, **terms}
