@@ -57,10 +57,30 @@ class PlaneLevel(NamedTuple):
         distance = sign * (normal * offset).sum(0)
         return torch.cat(((normal * sign).sum(1), torch.stack((distance, weight)).sum(1)))
 
+    def nearest_of_eight(self, x: Tensor, batch: Tensor) -> Tensor:
+        """Nearest (Q,) of the eight nodes around `x` (Q, 3); n where there is none."""
+        node, weight = corners(self.level, x, batch)
+        return node.gather(-1, weight.argmax(-1, keepdim=True)).squeeze(-1)
+
     def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
         """Normal (Q, 3) of the nearest of the eight nodes around `x`; 0 where there is none."""
-        node, weight = corners(self.level, x, batch)
-        return self.plane[3:, node.gather(-1, weight.argmax(-1, keepdim=True)).squeeze(-1)].T
+        return self.plane[3:, self.nearest_of_eight(x, batch)].T
+
+    def spectra(self, x: Tensor, batch: Tensor) -> Tensor:
+        """Spread (Q, 6) of the cloud around `x` along its principal axes, in cells; no gradient.
+
+        Roots of the eigenvalues at the nearest node, and their mean over that node's neighbours:
+        how thick, thin or sparse the cloud is at this scale. 0 where there is no node.
+        """
+        spread = self.eigenvalues.detach().clamp_min(0).sqrt() / self.level.cell_size
+        spread = torch.cat((spread, torch.ones_like(spread[:, :1])), -1)
+        spread = torch.cat((spread, spread.new_zeros(1, 4)))
+        node = self.nearest_of_eight(x, batch)
+        index = torch.cat(
+            (self.level.neighbours, self.level.neighbours.new_full((1, 27), len(self.level)))
+        )
+        around = spread[index[node]].sum(-2)
+        return torch.cat((spread[node, :3], around[:, :3] / around[:, 3:].clamp_min(1)), -1)
 
 
 class LocalPlanes(NamedTuple):

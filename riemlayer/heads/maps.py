@@ -77,13 +77,13 @@ class MapHead(nn.Module):
     ) -> None:
         super().__init__()
         self.config, self.radius = config, radius
-        channels = (3 + told, config, 2 + priors)  # in, and out: f and what weighs the priors
         if config.decoder == "siren":
-            self.planes, self.decoder = nn.Identity(), SirenDecoder(embedding, *channels)
+            self.planes, self.decoder = nn.Identity(), SirenDecoder(embedding, 3 + told, config)
         else:
             self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
-            self.decoder = TriplaneDecoder(*channels)
+            self.decoder = TriplaneDecoder(3 + told, config)
         self.valid = nn.Linear(config.hidden, 1)
+        self.gate = Gate(told, priors - 1) if priors > 1 else None
 
     def forward(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> MapOutput:
         """Answer to K queries (S, K, 3), v for Exp and q for Log, at each of the sources (S, 3)."""
@@ -103,8 +103,7 @@ class MapHead(nn.Module):
         """prior + |x| (f(x) - f(0)), or f(x) where not anchored, from the entries of `Prepared`."""
         vector, logit = self.decode(z, x, *told)
         if priors:
-            vector, shares = vector[..., :3], vector[..., 3:].sigmoid()
-            prior = mixed(priors, shares)
+            prior = priors[0] if self.gate is None else self.gate(priors, told)
             vector = (prior + safe_norm(x) * (vector - vector[:, :1]))[:, 1:]
             x, logit = x[:, 1:], logit[:, 1:]
         return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
@@ -116,7 +115,7 @@ class MapHead(nn.Module):
     def decode(self, z: Tensor, x: Tensor, *told: Tensor) -> tuple[Tensor, Tensor]:
         """The decoder, modulated by `z` (S, C), at `x` (S, K, 3), with what else it is told.
 
-        Returns its answer (S, K, 2 + priors) and the validity's logit (S, K).
+        Returns its answer (S, K, 3) and the validity's logit (S, K).
         """
         return self.decoder(self.planes(z), x / self.radius, told, self._logit)
 
@@ -129,19 +128,45 @@ class MapHead(nn.Module):
         return logit - STEEPNESS * (length - TRAINED).clamp_min(0)
 
 
+class Gate(nn.Module):
+    """Moves the first prior towards each of the others, by a share read from what is told (ours).
+
+    All priors agree with the map to first order at the source, so whatever it says is anchored.
+
+    Shapes: priors (S, K, 3) each, told (S, K, ...) -> (S, K, 3).
+    """
+
+    def __init__(self, told: int, others: int, hidden: int = 64) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            nn.Linear(told, hidden),
+            nn.GELU(),
+            nn.Linear(hidden, hidden),
+            nn.GELU(),
+            nn.Linear(hidden, others),
+        )
+
+    def forward(self, priors: tuple[Tensor, ...], told: tuple[Tensor, ...]) -> Tensor:
+        shares = self.body(torch.cat(told, -1)).sigmoid().to(priors[0].dtype)
+        prior, *others = priors
+        for other, share in zip(others, shares.split(1, -1), strict=True):
+            prior = prior + share * (other - prior)
+        return prior
+
+
 class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
-    Walks over the cloud's planes are the prior: one over wide planes, which noise does not disturb,
-    and one over planes of half the size, which sees detail; the decoder weighs their ends. It sees
-    the triplane of z(p) at v, the walked end points, directions and normals, the normal at p and
-    the narrow embedding where the first walk landed. Exp_p(0) = p and d(Exp_p)_0 = I by
-    construction. With `anchored=False` it is the paper's ExpNet: q = p + f(v).
+    Walks over the cloud's planes are the priors: one over wide planes, which noise does not
+    disturb, one over planes of half the size, which see detail. A gate decides between their ends
+    by what the planes are like. f sees the triplane of z(p) at v, the ends, directions and normals
+    of the walks, the planes at p and the narrow embedding where the first walk landed. Exp_p(0) = p
+    and d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet, p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         priors = max(1, len(config.walk_steps))
-        told = 6 + 12 * priors + config.narrow if config.anchored else 0
+        told = 1 + 25 * priors + config.narrow if config.anchored else 0
         super().__init__(embedding, told, radius, config, priors)
 
     def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
@@ -150,14 +175,16 @@ class ExpHead(MapHead):
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
-        here = outer6(normal)[:, None].expand(-1, v.shape[1], -1)
-        walks = self.walks(field, p, v, shape, normal)
-        (moved, turned, there), *finer = walks
-        landed = read_narrow(field, p[:, None] + moved, shape)
-        told = [(moved - v) / self.radius, turned / self.radius, there, here, landed]
-        for again, turned, there in finer:
-            told += [(again - moved) / self.radius, turned / self.radius, there]
-        return Prepared(z, v, tuple(end for end, _, _ in walks), tuple(told))
+        here = sites(field, p, normal, shape)[:, None].expand(-1, v.shape[1], -1)
+        length = safe_norm(v)
+        told, ends = [here, length / self.radius], []
+        for moved, turned, there in self.walks(field, p, v, shape, normal):
+            away = moved - (ends[0] if ends else v)
+            bend = safe_norm(away) / (length + 0.01 * self.radius)
+            told += [away / self.radius, bend, turned / self.radius, there]
+            ends.append(moved)
+        told.append(read_narrow(field, p[:, None] + ends[0], shape))
+        return Prepared(z, v, tuple(ends), tuple(told))
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return x
@@ -182,12 +209,12 @@ class LogHead(MapHead):
     """Log_p(q) = flat(x) + |x| (h(x) - h(0)) with x = q - p (ours).
 
     The prior lays the chord flat on the tangent plane of the cloud at p; h sees the triplane of
-    z(p) at x, the prior, the normal at p, and the narrow embedding at q and half-way. Log_p(p) = 0
+    z(p) at x, the prior, the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0
     and d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        told = 9 + 2 * config.narrow if config.anchored else 0
+        told = 3 + 12 * max(1, len(config.walk_steps)) + 2 * config.narrow if config.anchored else 0
         super().__init__(embedding, told, radius, config)
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
@@ -198,7 +225,7 @@ class LogHead(MapHead):
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
-        here = outer6(normal)[:, None].expand(-1, x.shape[1], -1)
+        here = sites(field, p, normal, shape)[:, None].expand(-1, x.shape[1], -1)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         return Prepared(z, x, (flat,), ((flat - x) / self.radius, here, *passed))
 
@@ -206,12 +233,12 @@ class LogHead(MapHead):
         return vector
 
 
-def mixed(priors: tuple[Tensor, ...], shares: Tensor) -> Tensor:
-    """The first prior (S, K, 3), moved by its share (S, K, priors - 1) towards each of the rest."""
-    prior, *rest = priors
-    for other, share in zip(rest, shares.split(1, -1), strict=False):
-        prior = prior + share * (other - prior)
-    return prior
+def sites(field: Embedding, p: Tensor, normal: Tensor, shape: Tensor) -> Tensor:
+    """What the planes of every scale say at the sources (S, 12 scales): spectra and normals."""
+    parts = [field.planes.fine.spectra(p, shape), outer6(normal)]
+    for planes in field.finer:
+        parts += [planes.fine.spectra(p, shape), outer6(planes.normal(p, shape))]
+    return torch.cat(parts, -1)
 
 
 def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:

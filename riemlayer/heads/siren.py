@@ -28,10 +28,9 @@ class SirenDecoder(nn.Module):
         embedding: C, channels of z.
         inputs: channels of the query and of what else the decoder is told.
         config: width and number of linear layers.
-        outputs: channels of the answer.
 
-    Shapes: z (S, C), x (S, K, 3), told (S, K, ...) -> (S, K, outputs), and what `read` makes
-    of the hidden features, (..., width) -> (...), as (S, K).
+    Shapes: z (S, C), x (S, K, 3), told (S, K, ...) -> (S, K, 3), and what `read` makes of the
+    hidden features, (..., width) -> (...), as (S, K).
 
     >>> decoder = SirenDecoder(16, inputs=5, config=HeadConfig(decoder="siren"))
     >>> z, x, told = torch.rand(2, 16), torch.rand(2, 7, 3), (torch.rand(2, 7, 2),)
@@ -39,12 +38,12 @@ class SirenDecoder(nn.Module):
     [torch.Size([2, 7, 3]), torch.Size([2, 7])]
     """
 
-    def __init__(self, embedding: int, inputs: int, config: HeadConfig, outputs: int = 3) -> None:
+    def __init__(self, embedding: int, inputs: int, config: HeadConfig) -> None:
         super().__init__()
         widths = [inputs, *[config.hidden] * (config.layers - 1)]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         self.film = nn.Linear(embedding, 2 * (config.layers - 1) * config.hidden)
-        self.out = nn.Linear(config.hidden, outputs)
+        self.out = nn.Linear(config.hidden, 3)
         bound = math.sqrt(6 / config.hidden) / W0
         for i, layer in enumerate([*self.layers, self.out]):
             first = 1 / inputs if i == 0 else bound

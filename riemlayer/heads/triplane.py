@@ -92,20 +92,19 @@ class TriplaneDecoder(nn.Module):
     Args:
         inputs: channels of the query and of what else the decoder is told.
         config: planes, width and layers.
-        outputs: channels of the answer.
 
-    Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...) -> (S, K, outputs), and what
+    Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...) -> (S, K, 3), and what
     `read` makes of the hidden features, (N, width) -> (N,), as (S, K).
     """
 
-    def __init__(self, inputs: int, config: HeadConfig, outputs: int = 3) -> None:
+    def __init__(self, inputs: int, config: HeadConfig) -> None:
         super().__init__()
         widths = [3 * config.channels + inputs, *[config.hidden] * (config.layers - 1)]
         layers = []
         for a, b in pairwise(widths):
             layers += [nn.Linear(a, b), nn.GELU()]
         self.body = nn.Sequential(*layers)
-        self.out = nn.Linear(config.hidden, outputs)
+        self.out = nn.Linear(config.hidden, 3)
         if config.anchored:
             nn.init.normal_(self.out.weight, std=0.01)
 
@@ -121,5 +120,4 @@ class TriplaneDecoder(nn.Module):
             hidden = self.body(part)
             answers.append(self.out(hidden).to(x.dtype))
             readings.append(read(hidden).to(x.dtype))
-        answer = torch.cat(answers).unflatten(0, x.shape[:2])
-        return answer, torch.cat(readings).view(x.shape[:2])
+        return torch.cat(answers).view(x.shape), torch.cat(readings).view(x.shape[:2])
