@@ -59,10 +59,15 @@ class Prepared(NamedTuple):
     """(S, C) embeddings at the sources."""
     x: Tensor
     """(S, 1 + K, 3): v for Exp, q - p for Log; (S, K, 3) where the head is not anchored."""
-    priors: tuple[Tensor, ...] = ()
-    """(S, 1 + K, 3) each: what the answer might be without learning; none: not anchored."""
+    prior: Tensor | None = None
+    """(S, 1 + K, 3) what the answer would be without the decoder; None: not anchored."""
     told: tuple[Tensor, ...] = ()
     """(S, 1 + K, ...) what else the decoder is told."""
+
+    @property
+    def first(self) -> int:
+        """Row of the first query."""
+        return 0 if self.prior is None else 1
 
 
 class MapHead(nn.Module):
@@ -72,9 +77,7 @@ class MapHead(nn.Module):
     Validity does not disturb the maps: it sees the hidden features without a gradient.
     """
 
-    def __init__(
-        self, embedding: int, told: int, radius: float, config: HeadConfig, priors: int = 1
-    ) -> None:
+    def __init__(self, embedding: int, told: int, radius: float, config: HeadConfig) -> None:
         super().__init__()
         self.config, self.radius = config, radius
         if config.decoder == "siren":
@@ -83,29 +86,24 @@ class MapHead(nn.Module):
             self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
             self.decoder = TriplaneDecoder(3 + told, config)
         self.valid = nn.Linear(config.hidden, 1)
-        self.gate = Gate(told, priors - 1) if priors > 1 else None
 
     def forward(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> MapOutput:
         """Answer to K queries (S, K, 3), v for Exp and q for Log, at each of the sources (S, 3)."""
-        return self.answer(*self.prepare(field, p, x, shape))
+        prepared = self.prepare(field, p, x, shape)
+        vector, validity = self.answer(*prepared)
+        return MapOutput(vector[:, prepared.first :], validity[:, prepared.first :])
 
     def prepare(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> Prepared:
         """What `answer` takes."""
         raise NotImplementedError
 
     def answer(
-        self,
-        z: Tensor,
-        x: Tensor,
-        priors: tuple[Tensor, ...] = (),
-        told: tuple[Tensor, ...] = (),
+        self, z: Tensor, x: Tensor, prior: Tensor | None = None, told: tuple[Tensor, ...] = ()
     ) -> MapOutput:
-        """prior + |x| (f(x) - f(0)), or f(x) where not anchored, from the entries of `Prepared`."""
+        """prior + |x| (f(x) - f(0)), or f(x) where not anchored, and validity, of all rows."""
         vector, logit = self.decode(z, x, *told)
-        if priors:
-            prior = priors[0] if self.gate is None else self.gate(priors, told)
-            vector = (prior + safe_norm(x) * (vector - vector[:, :1]))[:, 1:]
-            x, logit = x[:, 1:], logit[:, 1:]
+        if prior is not None:
+            vector = prior + safe_norm(x) * (vector - vector[:, :1])
         return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
@@ -146,7 +144,7 @@ class Gate(nn.Module):
             nn.Linear(hidden, others),
         )
 
-    def forward(self, priors: tuple[Tensor, ...], told: tuple[Tensor, ...]) -> Tensor:
+    def forward(self, priors: list[Tensor], told: list[Tensor]) -> Tensor:
         shares = self.body(torch.cat(told, -1)).sigmoid().to(priors[0].dtype)
         prior, *others = priors
         for other, share in zip(others, shares.split(1, -1), strict=True):
@@ -167,7 +165,8 @@ class ExpHead(MapHead):
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         priors = max(1, len(config.walk_steps))
         told = 1 + 25 * priors + config.narrow if config.anchored else 0
-        super().__init__(embedding, told, radius, config, priors)
+        super().__init__(embedding, told, radius, config)
+        self.gate = Gate(told, priors - 1) if priors > 1 else None
 
     def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -184,7 +183,8 @@ class ExpHead(MapHead):
             told += [away / self.radius, bend, turned / self.radius, there]
             ends.append(moved)
         told.append(read_narrow(field, p[:, None] + ends[0], shape))
-        return Prepared(z, v, tuple(ends), tuple(told))
+        prior = ends[0] if self.gate is None else self.gate(ends, told)
+        return Prepared(z, v, prior, tuple(told))
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return x
@@ -227,7 +227,7 @@ class LogHead(MapHead):
         flat = lay_flat(field.planes, normal, x)
         here = sites(field, p, normal, shape)[:, None].expand(-1, x.shape[1], -1)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        return Prepared(z, x, (flat,), ((flat - x) / self.radius, here, *passed))
+        return Prepared(z, x, flat, ((flat - x) / self.radius, here, *passed))
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return vector

@@ -93,8 +93,8 @@ class TriplaneDecoder(nn.Module):
         inputs: channels of the query and of what else the decoder is told.
         config: planes, width and layers.
 
-    Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...) -> (S, K, 3), and what
-    `read` makes of the hidden features, (N, width) -> (N,), as (S, K).
+    Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...) -> (S, K, 3), and what `read`
+    makes of the hidden features, (N, width) -> (N,), as (S, K).
     """
 
     def __init__(self, inputs: int, config: HeadConfig) -> None:

@@ -5,7 +5,7 @@ import torch
 from references import fibonacci_sphere, lumpy
 from torch import Tensor
 
-from riemlayer.geometry import LocalPlanes, local_planes
+from riemlayer.geometry import LocalPlanes, local_planes, planes_at_scales
 from riemlayer.octree import build_octree
 
 UP = torch.tensor([0.0, 0, 1], dtype=torch.float64)
@@ -156,3 +156,30 @@ def test_gradcheck_in_queries_and_points():
         return torch.cat(at(planes_of(points, 4), x, towards), -1)
 
     assert torch.autograd.gradcheck(answer, (points, x), fast_mode=True, atol=1e-4)
+
+
+def test_scales_are_the_planes_of_deeper_and_shallower_trees():
+    points, batch = fibonacci_sphere(3000), torch.zeros(3000).long()
+    wide, fine = planes_at_scales(points, build_octree(points, batch, 6), 2)
+    for got, depth in ((wide, 5), (fine, 6)):
+        expected = local_planes(points, build_octree(points, batch, depth))
+        for a, b in zip(got, expected, strict=True):
+            torch.testing.assert_close(a.plane, b.plane)
+            torch.testing.assert_close(a.eigenvalues, b.eigenvalues)
+
+
+def test_spectra_measure_thickness_in_cells():
+    """Uniform noise of width w has standard deviation w / sqrt(12); the rest of a plane is flat."""
+    points, normal = tilted_plane(20_000)
+    width = 0.04
+    points = points + width * (torch.rand(len(points), 1, dtype=torch.float64) - 0.5) * normal
+    level = planes_of(points, 4).fine
+    inner = points[(points.norm(dim=-1) < 0.3).nonzero().squeeze(-1)[:200]]
+    own, around = level.spectra(inner, torch.zeros(len(inner)).long()).split(3, -1)
+    thickness = width / 12**0.5 / level.level.cell_size
+    for spread in (own, around):
+        assert (spread[:, 0] / thickness - 1).abs().max() < 0.15
+        assert (spread[:, 1] > 5 * spread[:, 0]).all()
+    nowhere = torch.full((1, 3), 0.99, dtype=torch.float64)
+    assert (level.spectra(nowhere, torch.zeros(1).long()) == 0).all()
+    assert not level.spectra(inner.requires_grad_(), torch.zeros(len(inner)).long()).requires_grad

@@ -7,7 +7,7 @@ from references import encoded, lumpy, shaken
 from riemlayer import ExpLogField
 from riemlayer.config import FieldConfig, HeadConfig
 from riemlayer.heads import MapOutput
-from riemlayer.heads.maps import read_narrow
+from riemlayer.heads.maps import Gate, read_narrow
 
 HEADS = {
     "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4,)),
@@ -49,6 +49,18 @@ def test_anchored_heads_move_by_x_to_first_order(name, which):
     assert float(answers(field, which, 0 * direction).vector.abs().max()) < 1e-15
     far = answers(field, which, 0.4 * direction).vector - 0.4 * direction
     assert far.norm(dim=-1).mean() > 0.01  # the weights do have a say
+
+
+def test_the_gate_goes_from_the_first_prior_to_the_others():
+    gate = Gate(told=5, others=1).double()
+    priors = [torch.randn(2, 7, 3).double() for _ in range(2)]
+    told = [torch.randn(2, 7, 4).double(), torch.randn(2, 7, 1).double()]
+    share = ((gate(priors, told) - priors[0]) / (priors[1] - priors[0])).detach()
+    torch.testing.assert_close(share, share[..., :1].expand_as(share))
+    assert (share > 0).all() and (share < 1).all() and share.std() > 0
+    for bias, expected in ((-1e3, priors[0]), (1e3, priors[1])):
+        torch.nn.init.constant_(gate.body[-1].bias, bias)
+        torch.testing.assert_close(gate(priors, told), expected)
 
 
 def test_the_straight_and_untold_configuration_is_possible():
