@@ -1,6 +1,17 @@
 """Local planes of a cloud, geodesic walking, frames."""
 
+from riemlayer.geometry.frames import angle_of, frame_of, nearest_isometry
 from riemlayer.geometry.planes import LocalPlanes, local_planes
 from riemlayer.geometry.walk import Walked, lay_flat, turn, walk
 
-__all__ = ["LocalPlanes", "Walked", "lay_flat", "local_planes", "turn", "walk"]
+__all__ = [
+    "LocalPlanes",
+    "Walked",
+    "angle_of",
+    "frame_of",
+    "lay_flat",
+    "local_planes",
+    "nearest_isometry",
+    "turn",
+    "walk",
+]
