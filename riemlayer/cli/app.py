@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from riemlayer.cli import maps, regions
-from riemlayer.cli.command import Commands
+from riemlayer.cli import about, decal, export, maps, regions, training, viewer
+from riemlayer.cli.command import Commands, unwrapped
 
 app = typer.Typer(
     cls=Commands,
@@ -15,11 +15,10 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for group in (maps, regions):
+for group in (maps, regions, decal, viewer, training, export, about):
     group.register(app)
 
 
-@app.callback(invoke_without_command=True)
 def root(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
@@ -35,6 +34,9 @@ def root(
         typer.echo(f"riemlayer {__version__}")
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+app.callback(invoke_without_command=True, help=unwrapped(root))(root)
 
 
 def main() -> None:

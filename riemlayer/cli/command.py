@@ -7,6 +7,7 @@ import json
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields
 from functools import wraps
 from inspect import Parameter
@@ -29,6 +30,10 @@ class Answer:
     """For people."""
 
 
+Command = Callable[..., Answer | None]
+"""A subcommand; None where it has said everything itself."""
+
+
 class Options:
     """Base of the dataclasses that stand for several options of a subcommand."""
 
@@ -39,7 +44,7 @@ DEBUG = Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.
 
 def command(
     app: typer.Typer, example: str, panel: str, bar: bool = True, **settings: Any
-) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
+) -> Callable[[Command], Command]:
     """Registers a function as a subcommand of its name.
 
     Its parameters are options as in typer, or classes of `Options`, whose fields are options.
@@ -52,16 +57,21 @@ def command(
         settings: further ones of `typer.Typer.command`.
     """
 
-    def register(function: Callable[..., Answer]) -> Callable[..., Answer]:
+    def register(function: Command) -> Command:
         groups, flat = _flatten(function)
 
         @wraps(function)
         def run(*, as_json: bool, debug: bool, **values: Any) -> None:
             for name, (kind, names) in groups.items():
                 values[name] = kind(**{own: values.pop(own) for own in names})
-            with progress(bar):
-                answer = function(**values)
-            typer.echo(json.dumps(answer.facts, allow_nan=False) if as_json else answer.text)
+            token = _as_json.set(as_json)
+            try:
+                with progress(bar):
+                    answer = function(**values)
+                if answer is not None:
+                    announce(answer)
+            finally:
+                _as_json.reset(token)
 
         keyword = Parameter.KEYWORD_ONLY
         flags = [
@@ -70,17 +80,29 @@ def command(
         ]
         run.__signature__ = inspect.Signature([*flat, *flags])  # pyright: ignore
         run.__annotations__ = {x.name: x.annotation for x in [*flat, *flags]}
-        paragraphs = (inspect.getdoc(function) or "").split("\n\n")
-        text = "\n\n".join(" ".join(x.split()) for x in paragraphs)
         epilog = f"For instance: [bold]{example}[/bold]"
-        app.command(help=text, epilog=epilog, rich_help_panel=panel, **settings)(run)
+        app.command(help=unwrapped(function), epilog=epilog, rich_help_panel=panel, **settings)(run)
         return function
 
     return register
 
 
+_as_json: ContextVar[bool] = ContextVar("as_json", default=False)
+
+
+def announce(answer: Answer) -> None:
+    """Prints an answer as the user wants it; by hand where the command does not end with it."""
+    text = json.dumps(answer.facts, allow_nan=False) if _as_json.get() else answer.text
+    typer.echo(text)
+
+
+def unwrapped(function: Callable) -> str:
+    """Its docstring, one line a paragraph: the terminal's width is not the source's."""
+    return "\n\n".join(" ".join(x.split()) for x in (inspect.getdoc(function) or "").split("\n\n"))
+
+
 def _flatten(
-    function: Callable[..., Answer],
+    function: Command,
 ) -> tuple[dict[str, tuple[type[Options], list[str]]], list[Parameter]]:
     """The groups among a function's parameters, and all options one by one."""
     hints = get_type_hints(function, include_extras=True)

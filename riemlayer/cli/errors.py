@@ -6,9 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 EXTRAS = {
-    "data": "scipy trimesh potpourri3d gpytoolbox skimage mesh2sdf manifold3d joblib tqdm".split(),
-    "viz": "pyvista vtk matplotlib PIL".split(),
-    "cli": "lightning jsonargparse".split(),
+    "data": [
+        *("scipy", "trimesh", "potpourri3d", "gpytoolbox", "skimage"),
+        *("mesh2sdf", "manifold3d", "joblib", "tqdm"),
+    ],
+    "viz": ["pyvista", "vtk", "matplotlib", "PIL"],
+    "cli": ["lightning", "jsonargparse"],
 }
 """Packages that each extra of riemlayer brings, by the names they are imported by."""
 

@@ -90,7 +90,7 @@ class Loaded:
 
     def outward(self, x: torch.Tensor) -> Array:
         """Points (..., 3) of the cube in the file's units."""
-        return x.double().cpu().numpy() * self.scale + self.centre
+        return numbers(x) * self.scale + self.centre
 
     def tensor(self, x: Array) -> torch.Tensor:
         """An array in the field's precision and place."""
@@ -101,7 +101,7 @@ class Loaded:
 
     def frame(self, p: Array) -> Array:
         """(3, 3) e1, e2 and the normal at p, as columns (appendix A)."""
-        return self.surface.frame(self.inward(p)).double().cpu().numpy()
+        return numbers(self.surface.frame(self.inward(p)))
 
     def distance(self, p: Array, q: Array, log: Map) -> Array:
         """Geodesic distances (N,) by Log_p(q), never below the chord (as `EncodedSurface.dist`)."""
@@ -122,8 +122,8 @@ class Loaded:
     def _map(self, answers: list, shift: Array | float) -> Map:
         import torch
 
-        value, logit = (torch.cat(x).double().cpu() for x in zip(*answers, strict=True))
-        return Map(value.numpy() * self.scale + shift, logit.sigmoid().numpy())
+        value, logit = (torch.cat(x) for x in zip(*answers, strict=True))
+        return Map(numbers(value) * self.scale + shift, numbers(logit.sigmoid()))
 
     def asked(self) -> torch.Tensor:
         """All points in the cube; of a mesh its samples follow, for few vertices carry no chart."""
@@ -238,3 +238,8 @@ def coordinates(text: str, option: str) -> Array:
     if x.shape != (3,) or not np.isfinite(x).all():
         raise UserError(f"{option} must be three numbers as 0.1,-2,3 without blanks, got {text!r}")
     return x
+
+
+def numbers(x: torch.Tensor) -> Array:
+    """A tensor as an array in double precision."""
+    return x.double().cpu().numpy()

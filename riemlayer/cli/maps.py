@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -14,6 +14,9 @@ from riemlayer.cli.formats import Geometry
 from riemlayer.cli.inputs import read_vectors
 from riemlayer.cli.loaded import Array, Encoding, Loaded, Map, Place, Where, coordinates
 from riemlayer.cli.output import Output, Result
+
+if TYPE_CHECKING:
+    from riemlayer.cli.pictures import Scene
 
 PANEL = "Maps of a shape"
 RAYS, RINGS = 24, 8
@@ -55,10 +58,10 @@ def chart_result(loaded: Loaded, p: Array, note: str, **more: np.ndarray) -> tup
         scalars={"distance": distance, "validity": log.validity},
     )
 
-    def draw():
-        from riemlayer.cli.pictures import scene
+    def draw() -> Scene:
+        from riemlayer.cli.pictures import log_scene
 
-        return scene(loaded, p, note, log=tiles)
+        return log_scene(loaded, p, note)
 
     facts = {"points": len(uv), "within_reach": int(reached.sum())}
     return Result(arrays | more, geometry, draw), facts
@@ -158,15 +161,14 @@ def exp(
         colours=tile_colours(uv, loaded.radius),
         scalars={"validity": end.validity},
     )
-    t = np.linspace(0, 1, SAMPLES)
 
-    def draw():
+    def draw() -> Scene:
         from riemlayer.cli.pictures import scene
 
         shown = v[-RAYS:] if vectors is None else v[:MOST_PATHS]
-        paths = loaded.exp(place.point, (t[:, None] * shown[:, None]).reshape(-1, 3)).value
-        paths = paths.reshape(len(shown), SAMPLES, 3)
-        return scene(loaded, place.point, f"Exp of {place}.", paths=list(paths))
+        return scene(
+            loaded, place.point, f"Exp of {place}.", paths=exp_paths(loaded, place.point, shown)
+        )
 
     output.write(Result(arrays, geometry, draw))
     facts = about(loaded, encoding, output, place) | {"vectors": len(v), "beyond_radius": beyond}
@@ -174,6 +176,17 @@ def exp(
     if beyond:
         text += f"; {beyond:,} longer than the trained radius {loaded.radius:.4g}: less reliable"
     return Answer(facts, text)
+
+
+def exp_paths(loaded: Loaded, p: Array, v: Array) -> Array:
+    """Geodesics (K, SAMPLES, 3) from p (3,) along v (K, 3)."""
+    steps = np.linspace(0, 1, SAMPLES)[:, None] * v[:, None]  # (K, SAMPLES, 3)
+    return loaded.exp(p, steps.reshape(-1, 3)).value.reshape(steps.shape)
+
+
+def fan_paths(loaded: Loaded, p: Array) -> Array:
+    """Geodesics (RAYS, SAMPLES, 3) of the trained radius, all around p (3,)."""
+    return exp_paths(loaded, p, fan(loaded.radius)[-RAYS:] @ loaded.frame(p)[:, :2].T)
 
 
 def fan(radius: float) -> Array:
@@ -227,11 +240,11 @@ def geodesic(
         uv=np.stack((along, np.repeat((np.arange(k) + 0.5) / k, samples)), 1),
     )
 
-    def draw():
+    def draw() -> Scene:
         from riemlayer.cli.pictures import scene
 
         note = f"{k} geodesics from {place}."
-        return scene(loaded, place.point, note, paths=list(paths[:MOST_PATHS]))
+        return scene(loaded, place.point, note, paths=paths[:MOST_PATHS])
 
     output.write(Result(arrays, geometry, draw))
     beyond = int((length > loaded.radius * (1 + 1e-6)).sum())

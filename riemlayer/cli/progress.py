@@ -22,7 +22,7 @@ class Bar:
         self._text, self._total, self._done = "starting", None, 0.0
         self._rich: Any = None
         self._task: Any = None
-        self._lock = threading.Lock()
+        self._lock, self._over = threading.Lock(), False
 
     def stage(self, text: str, total: float | None = None, done: float = 0.0) -> None:
         """What is being done, and how much of how much where that is known."""
@@ -42,6 +42,8 @@ class Bar:
             TimeElapsedColumn(),
         )
         with self._lock:
+            if self._over:
+                return
             self._rich = Progress(*columns, console=Console(stderr=True), transient=True)
             self._task = self._rich.add_task(self._text, total=None)
             self._update()
@@ -49,8 +51,10 @@ class Bar:
 
     def hide(self) -> None:
         """End, without a trace on the terminal."""
-        if self._rich is not None:
-            self._rich.stop()
+        with self._lock:
+            self._over = True
+            if self._rich is not None:
+                self._rich.stop()
 
     def _update(self) -> None:
         if self._rich is not None:
@@ -80,6 +84,12 @@ def progress(wanted: bool = True) -> Iterator[None]:
         timer.join()
         bar.hide()
         _current.reset(token)
+
+
+def end_bar() -> None:
+    """No bar from here on: the command goes on until the user ends it."""
+    if bar := _current.get():
+        bar.hide()
 
 
 def stage(text: str) -> None:

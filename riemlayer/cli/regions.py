@@ -1,9 +1,9 @@
-"""`riemlayer stitch`, `decal` and `mean`."""
+"""`riemlayer stitch` and `mean`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -11,11 +11,14 @@ import typer
 from riemlayer.cli.command import Answer, command
 from riemlayer.cli.errors import UserError, blame
 from riemlayer.cli.formats import Geometry
-from riemlayer.cli.inputs import read_array, read_image
-from riemlayer.cli.loaded import Array, Encoding, Loaded, Where, coordinates
+from riemlayer.cli.inputs import read_array
+from riemlayer.cli.loaded import Encoding, Loaded, Where, coordinates, numbers
 from riemlayer.cli.maps import PANEL, about, chart_result, reached_text, tile_colours
 from riemlayer.cli.output import Output, Result
 from riemlayer.cli.progress import stage
+
+if TYPE_CHECKING:
+    from riemlayer.cli.pictures import Scene
 
 UNCOVERED = -1.0
 """Texture coordinates of points that no chart covers."""
@@ -24,7 +27,6 @@ UNCOVERED = -1.0
 def register(app: typer.Typer) -> None:
     """Adds the subcommands of this file."""
     command(app, "riemlayer stitch bunny.ply --source 0 --depth 6 -o atlas.obj", PANEL)(stitch)
-    command(app, "riemlayer decal bunny.ply --source 0 --image cat.png -o cat.ply", PANEL)(decal)
     command(app, "riemlayer mean bunny.ply -p 3 -p 14 -p 15 -o mean.npz", PANEL)(mean)
 
 
@@ -83,7 +85,7 @@ def stitch(
         scalars={"confidence": confidence},
     )
 
-    def draw():
+    def draw() -> Scene:
         from riemlayer.cli.pictures import scene
 
         note = f"{len(charts.centre)} charts around {place}."
@@ -102,121 +104,6 @@ def stitch(
         f"{facts['points']:,} points, worst misfit {facts['worst_misfit']:.3g}"
     )
     return Answer(facts, text)
-
-
-def decal(
-    encoding: Encoding,
-    where: Where,
-    output: Output,
-    size: Annotated[
-        float | None,
-        typer.Option(help="Side of the picture, file's units; the trained radius by default."),
-    ] = None,
-    up: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z", help="Direction of its upper edge; the y axis, or z."),
-    ] = None,
-    image: Annotated[
-        Path | None, typer.Option(help="Picture for the colours of .ply and .png; else tiles.")
-    ] = None,
-    flip: Annotated[
-        bool, typer.Option(help="Mirror it: a cloud does not know its outside.")
-    ] = False,
-) -> Answer:
-    """Texture coordinates of a square picture stuck on at the source (Sec. 3.4).
-
-    An .npz holds points, uv (n, 2), (0, 0) the lower left corner and (1, 1) the upper right one,
-    inside, frame, source and size. On a mesh the picture is seen from the side that its faces turn
-    outward.
-    """
-    output.check(encoding.shape, image)
-    if size is not None and not 0 < size < np.inf:
-        raise UserError(f"--size must be positive, got {size:g}")
-    paint = None if image is None else read_image(image)
-    direction = None if up is None else coordinates(up, "--up")
-    loaded = encoding.load()
-    place = loaded.place(where)
-    frame = loaded.frame(place.point)
-    side = loaded.radius if size is None else size
-    uv, inside = decal_uv(loaded, place.point, upward(direction, frame), side)
-    mirrored = flip != seen_from_inside(loaded, place.point, frame[:, 2])
-    if mirrored:
-        uv[:, 0] = 1 - uv[:, 0]
-    colours = decal_colours(uv, inside, paint)
-    arrays = {
-        "points": loaded.points,
-        "uv": uv,
-        "inside": inside,
-        "frame": frame,
-        "source": place.point,
-        "size": np.array(side),
-    }
-    geometry = Geometry(loaded.points, loaded.faces, uv=uv, colours=colours)
-
-    def draw():
-        from riemlayer.cli.pictures import scene
-
-        return scene(loaded, place.point, f"A decal at {place}.", colours=colours)
-
-    output.write(Result(arrays, geometry, draw))
-    facts = about(loaded, encoding, output, place) | {
-        "points": len(uv),
-        "inside": int(inside.sum()),
-        "size": side,
-        "mirrored": bool(mirrored),
-    }
-    text = (
-        f"{output.out}: a picture of side {side:.4g} at {place} lies over {facts['inside']:,} of "
-        f"{facts['points']:,} points"
-    )
-    return Answer(facts, text)
-
-
-def decal_uv(loaded: Loaded, p: Array, up: Array, size: float) -> tuple[Array, np.ndarray]:
-    """UV (n, 2) and inside (n,) of `riemlayer.ops.decal`, asked in the file's units."""
-    from riemlayer.ops import decal
-
-    stage("laying the picture")
-    with blame("--up"):
-        answer = decal(
-            loaded.surface,
-            loaded.inward(p),
-            loaded.tensor(up),
-            size / loaded.scale,
-            loaded.asked(),
-        )
-    n = len(loaded.points)
-    return numbers(answer.uv[:n]), answer.inside[:n].cpu().numpy()
-
-
-def upward(up: Array | None, frame: Array) -> Array:
-    """The direction given, or the y axis, or z where the surface faces y."""
-    if up is not None:
-        return up / max(np.abs(up).max(), 1e-300)
-    return np.eye(3)[1 if abs(frame[1, 2]) < 0.9 else 2]
-
-
-def seen_from_inside(loaded: Loaded, p: Array, normal: Array) -> bool:
-    """Does the frame's normal point into the mesh, by the winding of the nearest faces?"""
-    if loaded.faces is None:
-        return False
-    a, b, c = (loaded.points[loaded.faces[:, i]] / loaded.scale for i in range(3))
-    distance = np.linalg.norm((a + b + c) / 3 - p / loaded.scale, axis=1)
-    near = distance.argsort()[:8]
-    outward = np.cross((b - a)[near], (c - a)[near]).sum(0)
-    return bool(outward @ normal < 0)
-
-
-def decal_colours(uv: Array, inside: np.ndarray, paint: Array | None) -> Array:
-    """(n, 3) colours of the picture, or of eight tiles a side, on plain ground."""
-    if paint is None:
-        colours = tile_colours(uv - 0.5, 1.0, 1 / 8)
-    else:
-        rows, columns = paint.shape[:2]
-        i = ((1 - uv[:, 1]) * rows).astype(int).clip(0, rows - 1)
-        colours = paint[i, (uv[:, 0] * columns).astype(int).clip(0, columns - 1)]
-    plain = tile_colours(np.full((1, 2), np.nan), 1.0, 1.0)
-    return np.where(inside[:, None], colours, plain)
 
 
 def mean(
@@ -282,8 +169,3 @@ def listed_places(loaded: Loaded, listed: np.ndarray, name: str) -> list:
     raise UserError(
         f"{name}: must hold (K,) whole numbers or (K, 3) coordinates, got {listed.shape}"
     )
-
-
-def numbers(x) -> Array:
-    """A tensor as an array in double precision."""
-    return x.detach().double().cpu().numpy()
