@@ -9,16 +9,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from riemlayer.data.readers.archive import read_npz
 from riemlayer.data.readers.columns import read_text_cloud
+from riemlayer.data.readers.obj import read_obj
+from riemlayer.data.readers.off import read_off
+from riemlayer.data.readers.pcd import read_pcd
+from riemlayer.data.readers.ply import read_ply
 from riemlayer.data.readers.record import RawShape, checked
 from riemlayer.data.readers.scene import read_scene
 
 __all__ = ["SUFFIXES", "RawShape", "read_shape"]
 
 READERS: dict[str, Callable[[Path], RawShape]] = {
-    **dict.fromkeys((".obj", ".off", ".ply", ".stl", ".glb", ".gltf", ".dae"), read_scene),
+    ".obj": read_obj,
+    ".off": read_off,
+    ".ply": read_ply,
+    **dict.fromkeys((".stl", ".glb", ".gltf", ".dae"), read_scene),
     **dict.fromkeys((".xyz", ".pts", ".txt"), read_text_cloud),
+    ".pcd": read_pcd,
     ".npz": read_npz,
 }
 SUFFIXES = tuple(READERS)
@@ -64,9 +74,8 @@ def read_shape(path: str | Path) -> RawShape:
     if not head:
         raise ValueError(f"{path}: is empty (0 bytes); write it again")
     try:
-        return checked(reader(path))
-    except OSError:
-        raise
+        with np.errstate(all="ignore"):  # what came of nonsense is refused by `checked`
+            return checked(reader(path))
     except Exception as error:  # readers of damaged files raise whatever their parsers raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{path}: {reason}{_hint(path, head)}") from error

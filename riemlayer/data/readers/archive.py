@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -17,32 +19,38 @@ def read_npz(path: Path) -> RawShape:
 
     `normals`, `colours` (also `colors`), `uv` and `unit` are taken where they fit.
     """
-    with np.load(path, allow_pickle=False) as data:
-        names = list(data)
-        mesh = next((pair for pair in MESH if {*pair} <= {*names}), None)
-        if mesh is None and "points" not in names:
-            raise ValueError(f"must hold `points`, or `vertices` and `faces`, got {names}")
-        points = _numbers(data, "points") if "points" in names else None
-        vertices = faces = None
-        if mesh is not None:
-            vertices, faces = _numbers(data, mesh[0]), _whole(_numbers(data, mesh[1]))
-        rows = len(points if points is not None else vertices)  # pyright: ignore[reportArgumentType]
-        colours = _beside(data, rows, "colours") or _beside(data, rows, "colors")
-        normals, uv = _beside(data, rows, "normals"), _beside(data, rows, "uv")
-        unit = str(data["unit"]) if "unit" in names and data["unit"].dtype.kind == "U" else None
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
+            arrays = dict(data)
+    except (OSError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError, TypeError) as error:
+        said = str(error) or type(error).__name__
+        raise ValueError(f"must be an archive of numpy.savez, it is damaged: {said}") from error
+    names = list(arrays)
+    mesh = next((pair for pair in MESH if {*pair} <= {*names}), None)
+    if mesh is None and "points" not in names:
+        raise ValueError(f"must hold `points`, or `vertices` and `faces`, got {names}")
+    points = _numbers(arrays, "points") if "points" in names else None
+    vertices = faces = None
+    if mesh is not None:
+        vertices, faces = _numbers(arrays, mesh[0]), _whole(_numbers(arrays, mesh[1]))
+    rows = len(points if points is not None else vertices)  # pyright: ignore[reportArgumentType]
+    colours = _beside(arrays, rows, "colours")
+    colours = _beside(arrays, rows, "colors") if colours is None else colours
+    normals, uv = _beside(arrays, rows, "normals"), _beside(arrays, rows, "uv")
+    unit = arrays.get("unit")
     return RawShape(
         points,
         vertices,
         faces,
-        normals=None if normals is None else unit_normals(normals[0]),
-        colours=None if colours is None else bytes_of_colours(colours[0]),
-        uv=None if uv is None or points is not None else uv[0].astype(float),
-        unit=unit,
+        normals=None if normals is None else unit_normals(normals),
+        colours=None if colours is None else bytes_of_colours(colours),
+        uv=None if uv is None or points is not None else uv.astype(float),
+        unit=None if unit is None or unit.dtype.kind != "U" else str(unit),
     )
 
 
-def _numbers(data, name: str) -> NDArray:
-    x = data[name]
+def _numbers(arrays: dict[str, NDArray], name: str) -> NDArray:
+    x = arrays[name]
     if x.dtype.kind not in "fiu":
         raise ValueError(f"must hold numbers in `{name}`, got {x.dtype}")
     return x.astype(float)
@@ -56,10 +64,9 @@ def _whole(faces: NDArray) -> NDArray[np.int64]:
     return faces.astype(np.int64)
 
 
-def _beside(data, rows: int, name: str) -> tuple[NDArray] | None:
+def _beside(arrays: dict[str, NDArray], rows: int, name: str) -> NDArray | None:
     """The array of that name, if it has a row of numbers for each point."""
-    width = 2 if name == "uv" else 3
-    if name not in data or data[name].dtype.kind not in "fiu":
+    x, width = arrays.get(name), 2 if name == "uv" else 3
+    if x is None or x.dtype.kind not in "fiu" or x.ndim != 2 or len(x) != rows:
         return None
-    x = data[name]
-    return (x,) if x.ndim == 2 and len(x) == rows and x.shape[1] >= width else None
+    return x if x.shape[1] >= width and np.isfinite(x).all() else None

@@ -42,12 +42,22 @@ def read_text_cloud(path: Path) -> RawShape:
     return RawShape(points=table[:, :3].copy(), normals=normals, colours=colours)
 
 
-def read_table(lines: Iterator[str], max_rows: int | None = None) -> NDArray[np.float64]:
-    """Rows of equally many numbers as (rows, columns); lines are parsed as they come."""
+def read_table(lines: Iterator[str], width: int | None = None) -> NDArray[np.float64]:
+    """Rows of equally many numbers as (rows, columns); lines are parsed as they come.
+
+    Raises:
+        ValueError: something else than a number, rows of different lengths, or not of `width`.
+    """
+    first = next(lines, None)
+    if first is None:
+        return np.zeros((0, width or 3))
     try:
-        return np.loadtxt(lines, ndmin=2, comments=None, max_rows=max_rows)
+        table = np.loadtxt(_chain(first, lines), ndmin=2, comments=None)
     except ValueError as error:
-        raise ValueError(f"must hold three numbers a line or more: {error}") from error
+        raise ValueError(f"must hold equally many numbers a line: {error}") from error
+    if width is not None and table.shape[1] != width:
+        raise ValueError(f"must hold {width} numbers a line, got {table.shape[1]}")
+    return table
 
 
 def _lines(file: IO[str]) -> Iterator[str]:

@@ -125,22 +125,3 @@ def bytes_of_colours(x: NDArray) -> NDArray[np.uint8]:
     x = np.nan_to_num(x.astype(float), posinf=0.0, neginf=0.0)
     scale = 255 if len(x) and x.max() <= 1 else 1
     return np.clip(np.round(x * scale), 0, 255).astype(np.uint8)
-
-
-def fans(corners: NDArray, counts: NDArray) -> NDArray[np.int64]:
-    """Triangles (m, 3) of polygons, as fans around each one's first corner (ours).
-
-    Args:
-        corners: (sum of counts,) vertices of all polygons, one after the other.
-        counts: (P,) corners of each; those with fewer than 3 have no triangle.
-
-    >>> fans(np.array([4, 5, 6, 7, 0, 1, 2]), np.array([4, 3])).tolist()
-    [[4, 5, 6], [4, 6, 7], [0, 1, 2]]
-    """
-    counts = np.asarray(counts, np.int64)
-    first = np.cumsum(counts) - counts
-    triangles = np.maximum(counts - 2, 0)
-    start = np.repeat(first, triangles)
-    step = np.arange(len(start)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
-    rows = np.stack([start, start + step + 1, start + step + 2], 1)
-    return np.asarray(corners, np.int64)[rows]

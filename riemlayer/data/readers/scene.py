@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +25,15 @@ def read_scene(path: Path) -> RawShape:
     suffix = path.suffix.lower()
     if suffix == ".stl":
         _check_solids(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy warns where it stops parsing in the middle
-        scene = trimesh.load_scene(path, process=False, skip_materials=True)
-        parts = scene.dump()
+    try:
+        with warnings.catch_warnings(), _silent(trimesh.util.log):
+            warnings.simplefilter("error")  # numpy warns where it stops parsing in the middle
+            parts = trimesh.load_scene(path, process=False, skip_materials=True).dump()
+    except Exception as error:  # trimesh raises whatever its parsers raise
+        said = str(error) or type(error).__name__
+        raise ValueError(
+            f"must be a {suffix[1:]} file that trimesh reads, it said: {said}"
+        ) from error
     meshes = [x for x in parts if isinstance(x, trimesh.Trimesh) and len(x.faces)]
     clouds = [x for x in parts if isinstance(x, trimesh.PointCloud) and len(x.vertices)]
     unit = "m" if suffix in METRES else None
@@ -43,6 +51,16 @@ def read_scene(path: Path) -> RawShape:
     return RawShape(
         vertices=vertices, faces=faces, colours=_colours(meshes), uv=_uv(meshes), unit=unit
     )
+
+
+@contextmanager
+def _silent(log: logging.Logger) -> Iterator[None]:
+    """No tracebacks on the terminal for what is survived, or raised anyway."""
+    disabled, log.disabled = log.disabled, True
+    try:
+        yield
+    finally:
+        log.disabled = disabled
 
 
 def _trimesh(path: Path):
