@@ -7,13 +7,15 @@ the laws it obeys are tested on closed-form surfaces whose maps are exact.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.func import jvp
 
+from riemlayer import checks
+from riemlayer.abstract import AbstractSurface
+from riemlayer.geometry import frame_of, nearest_isometry
 from riemlayer.numerics import normalise, safe_norm
 from riemlayer.queries import value_and_jacobian
 
@@ -21,6 +23,8 @@ STRIDE = 0.5
 """Longest step of `shoot`, in trained radii: short steps are the accurate ones."""
 RUNG = 0.25
 """Length of the vectors that a pole ladder carries, in trained radii."""
+MISS = 0.5
+"""Where Exp_p(Log_p(q)) ends farther from q than this, in chords |q - p|, Log is not believed."""
 
 
 class Shot(NamedTuple):
@@ -34,36 +38,17 @@ class Shot(NamedTuple):
     """(steps + 1, ..., 3) from p to the end."""
 
 
-class Calculus(ABC):
+class Calculus(AbstractSurface):
     """Tangent-space operators of a surface that has Exp and Log; names and order of geoopt.
 
     Points and vectors are (..., 3) in the user's units and broadcast; `shape` is needed for packed
     batches only. Tangent vectors are ambient; `to_2d` and `from_2d` change to coordinates.
+
+    Every operator raises TypeError or ValueError, naming the argument, for points or vectors that
+    are no (..., 3) tensors, not finite, of another dtype than the surface, or do not broadcast.
+    From points off the surface, and between pieces that nothing connects, answers are finite and
+    `valid_mask` is False.
     """
-
-    @abstractmethod
-    def decode_exp(
-        self, p: Tensor, v: Tensor, shape: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Exp_p(v) (..., 3) and validity logits (...)."""
-
-    @abstractmethod
-    def decode_log(
-        self, p: Tensor, q: Tensor, shape: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Log_p(q) (..., 3) and validity logits (...)."""
-
-    @abstractmethod
-    def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
-        """Unit normals (..., 3); a cloud does not know their sign."""
-
-    @abstractmethod
-    def snap(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
-        """Points (..., 3) moved onto the surface."""
-
-    @abstractmethod
-    def radius_at(self, p: Tensor, shape: Tensor | None = None) -> Tensor:
-        """Trained radius (...) of the shape that each base point belongs to."""
 
     def dist(self, p: Tensor, q: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Geodesic distance d(p, q) (...): |Log_p(q)|, but never below the chord |q - p| (ours).
@@ -71,19 +56,26 @@ class Calculus(ABC):
         The gradient is finite at p = q. Symmetric as far as Log is: average with `dist(q, p)` where
         that matters.
         """
+        self.check(p=p, q=q)
         along = safe_norm(self.decode_log(p, q, shape)[0])
         return torch.maximum(along, safe_norm(q - p)).squeeze(-1)
 
     def cdist(self, p: Tensor, q: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Distances (P, Q) from every p (P, 3) to every q (Q, 3), one source for each p (ours)."""
+        self.check(p=p)
+        self.check(q=q)
+        checks.check_shapes(p=(p, "P 3"), q=(q, "Q 3"))
         return self.dist(p[:, None], q[None], shape=None if shape is None else shape[:, None])
 
     def inner(self, p: Tensor, u: Tensor, v: Tensor | None = None) -> Tensor:
         """Riemannian inner product <u, v>_p (...): that of the ambient vectors; |u|^2 without v."""
-        return (u * (u if v is None else v)).sum(-1)
+        v = u if v is None else v
+        self.check(p=p, u=u, v=v)
+        return (u * v).sum(-1)
 
     def norm(self, p: Tensor, u: Tensor) -> Tensor:
         """Length |u|_p (...) of tangent vectors, with a finite gradient at 0."""
+        self.check(p=p, u=u)
         return safe_norm(u).squeeze(-1)
 
     def frame(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
@@ -95,15 +87,20 @@ class Calculus(ABC):
 
     def project(self, p: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Part (..., 3) of ambient vectors in the tangent plane at p."""
+        self.check(p=p, v=v)
         normal = self.normal(p, shape=shape)
         return v - (v * normal).sum(-1, keepdim=True) * normal
 
     def to_2d(self, p: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Coordinates (..., 2) of tangent vectors in the frame at p (appendix A)."""
+        self.check(p=p, v=v)
         return (v[..., None, :] @ self.frame(p, shape=shape)[..., :2]).squeeze(-2)
 
     def from_2d(self, p: Tensor, x: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Ambient tangent vectors (..., 3) of coordinates x (..., 2) in the frame at p."""
+        self.check(p=p)
+        checks.check_vectors("x", x, like=p, width=2)
+        checks.check_broadcast(p=p[..., 0], x=x[..., 0])
         return (self.frame(p, shape=shape)[..., :2] @ x[..., None]).squeeze(-1)
 
     def geodesic(self, p: Tensor, q: Tensor, t: Tensor, *, shape: Tensor | None = None) -> Tensor:
@@ -111,6 +108,10 @@ class Calculus(ABC):
 
         What Exp misses q by is given back in proportion to t, so both ends are exact.
         """
+        self.check(p=p, q=q)
+        checks.check_tensor("t", t)
+        checks.check_vectors("t", t[..., None], like=p, width=1)
+        checks.check_broadcast(p=p, q=q, t=t[..., None])
         v = self.decode_log(p, q, shape)[0]
         ahead, whole = (
             self.decode_exp(p, t[..., None] * v, shape)[0],
@@ -122,6 +123,7 @@ class Calculus(ABC):
         self, p: Tensor, v: Tensor, *, shape: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
         """Exp_p(v) and v carried there: |v| times the direction of d/dt Exp_p(t v) at 1 (ours)."""
+        self.check(p=p, v=v)
 
         def end(x: Tensor) -> Tensor:
             return self.decode_exp(p, x, shape)[0]
@@ -146,6 +148,7 @@ class Calculus(ABC):
         Raises:
             ValueError: steps is not positive.
         """
+        self.check(p=p, v=v)
         p, v = torch.broadcast_tensors(p, v)
         if steps is None:
             reach = STRIDE * self.radius_at(p, shape)
@@ -177,6 +180,7 @@ class Calculus(ABC):
         Raises:
             ValueError: the method is another.
         """
+        self.check(p=p, q=q, v=v)
         if method == "differential":
             return self._carry(p, q, v, shape)
         if method == "ladder":
@@ -191,6 +195,7 @@ class Calculus(ABC):
         Consistent with Exp rather than with the truth. A step that does not bring Exp_p(v) nearer
         to q is not taken.
         """
+        self.check(p=p, q=q)
         v = self.decode_log(p, q, shape)[0]
         axes = self.frame(p, shape=shape)[..., :2]
         miss = safe_norm(q - self.decode_exp(p, v, shape)[0])
@@ -207,8 +212,20 @@ class Calculus(ABC):
     def valid_mask(
         self, p: Tensor, q: Tensor, threshold: float = 0.5, *, shape: Tensor | None = None
     ) -> Tensor:
-        """(...) bool: q lies before the cut locus of p with at least that probability (ours)."""
-        return self.decode_log(p, q, shape)[1].sigmoid() > threshold
+        """(...) bool: Log_p(q) is to be believed (ours), at the cost of one Exp.
+
+        p lies on the surface, q before the cut locus of p with more than that probability, and
+        `comes_back` holds.
+        """
+        self.check(p=p, q=q)
+        v, logit = self.decode_log(p, q, shape)
+        back = self.comes_back(p, q, v, shape=shape)
+        return (logit.sigmoid() > threshold) & back & self.in_support(p, shape=shape)
+
+    def comes_back(self, p: Tensor, q: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """(...) bool: Exp_p(v) ends nearer to q than half the chord (ours); not across a gap."""
+        miss = (self.decode_exp(p, v, shape)[0] - q).norm(dim=-1)
+        return miss <= MISS * (q - p).norm(dim=-1) + 1e-3 * self.radius_at(p, shape)
 
     def injectivity_radius(
         self,
@@ -220,8 +237,14 @@ class Calculus(ABC):
     ) -> Tensor:
         """Distance (...) from p at which its cut locus begins, at most the trained radius (ours).
 
-        The shortest vector of a fan whose validity is below one half.
+        The shortest vector of a fan whose validity is below one half; 0 off the surface.
+
+        Raises:
+            ValueError: directions or steps is not positive.
         """
+        self.check(p=p)
+        if directions < 1 or steps < 1:
+            raise ValueError(f"directions and steps must be at least 1, got {directions}, {steps}")
         longest = self.radius_at(p, shape)[..., None]  # (..., 1)
         angle = torch.arange(directions, device=p.device) * (2 * math.pi / directions)
         length = torch.arange(1, steps + 1, device=p.device) / steps
@@ -232,7 +255,8 @@ class Calculus(ABC):
         wide = None if shape is None else shape[..., None]
         logit = self.decode_exp(p[..., None, :], v, wide)[1]
         reach = fan.norm(dim=-1) * longest
-        return torch.where(logit < 0, reach, longest).amin(-1)
+        reach = torch.where(logit < 0, reach, longest).amin(-1)
+        return torch.where(self.in_support(p, shape=shape), reach, 0)
 
     def _carry(self, p: Tensor, q: Tensor, v: Tensor, shape: Tensor | None) -> Tensor:
         w = self.decode_log(p, q, shape)[0]
@@ -250,29 +274,3 @@ class Calculus(ABC):
         mirrored = self.decode_exp(middle, -self.decode_log(middle, top, shape)[0], shape)[0]
         w = self.project(q, -self.decode_log(q, mirrored, shape)[0], shape=shape)
         return normalise(w) * length
-
-
-def frame_of(normal: Tensor) -> Tensor:
-    """Right-handed orthonormal frames (..., 3, 3), columns e1, e2 and the unit normal (..., 3).
-
-    Duff et al. 2017: deterministic, and smooth but where the normal's z component changes sign.
-    """
-    x, y, z = normal.unbind(-1)
-    sign = torch.where(z < 0, -1.0, 1.0).to(z.dtype)
-    a = -1 / (sign + z)
-    b = x * y * a
-    first = torch.stack((1 + sign * x * x * a, sign * b, -sign * x), -1)
-    second = torch.stack((b, sign + y * y * a, -y), -1)
-    return torch.stack((first, second, normal), -1)
-
-
-def nearest_isometry(m: Tensor) -> Tensor:
-    """Orthogonal matrices (..., 2, 2) nearest to m: rotations, or reflections where det m < 0."""
-    a, b, c, d = m.flatten(-2).unbind(-1)
-    flip = a * d - b * c < 0
-    sign = torch.where(flip, -1.0, 1.0).to(m.dtype)
-    cosine, sine = a + sign * d, c - sign * b
-    x = normalise(torch.stack((cosine, sine), -1))
-    cosine, sine = x.unbind(-1)
-    columns = torch.stack((cosine, sine), -1), torch.stack((-sign * sine, sign * cosine), -1)
-    return torch.stack(columns, -1)

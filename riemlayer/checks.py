@@ -179,13 +179,14 @@ def check_same_kind(name: str, x: Tensor, like: Tensor) -> None:
     check_same_device(name, x, like)
 
 
-def check_vectors(name: str, x: Any, like: Tensor) -> None:
-    """`x` holds 3-D points or vectors that go with `like`: (..., 3), finite, same dtype and device.
+def check_vectors(name: str, x: Any, like: Tensor, width: int = 3) -> None:
+    """`x` holds points or vectors that go with `like`: (..., 3), finite, same dtype and device.
 
     Args:
         name: the argument's name in the caller's signature, such as `p`, `v` or `q`.
         x: (..., 3) whatever came; no rows at all is fine.
         like: a tensor of the surface, whose dtype and device are asked for.
+        width: of the last dimension.
 
     Raises:
         TypeError: not a tensor, or not floating.
@@ -197,8 +198,8 @@ def check_vectors(name: str, x: Any, like: Tensor) -> None:
         ValueError: `v` must have shape (..., 3), got (5, 2)
     """
     check_tensor(name, x)
-    if x.ndim == 0 or x.shape[-1] != 3:
-        raise ValueError(f"`{name}` must have shape (..., 3), got {tuple(x.shape)}")
+    if x.ndim == 0 or x.shape[-1] != width:
+        raise ValueError(f"`{name}` must have shape (..., {width}), got {tuple(x.shape)}")
     check_same_kind(name, x, like)
     check_finite(name, x)
 

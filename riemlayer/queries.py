@@ -11,11 +11,15 @@ from torch.func import jvp, vmap
 
 from riemlayer.heads import MapOutput
 
+FAR = 1e6
+"""Coordinates in the cube are held below this: squares of larger ones overflow in float32."""
+
 
 def lay_out(p: Tensor, x: Tensor, shape: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Sources (S, 3), queries (S, K, 3) and the shape (S,) of each source.
 
     The trailing batch axes along which `p` (..., 3) and `shape` (...) have size 1 make up K.
+    What is farther away than `FAR` is brought nearer.
 
     >>> p, v = torch.zeros(4, 1, 3), torch.zeros(4, 7, 3)
     >>> [y.shape for y in lay_out(p, v, torch.zeros(4, 1).long())]
@@ -30,8 +34,8 @@ def lay_out(p: Tensor, x: Tensor, shape: Tensor) -> tuple[Tensor, Tensor, Tensor
     s, k = math.prod(batch[:split]), math.prod(batch[split:])
     kept = batch[:split] + (1,) * (len(batch) - split)
     return (
-        p.expand(*kept, 3).reshape(s, 3),
-        x.expand(*batch, 3).reshape(s, k, 3),
+        p.expand(*kept, 3).reshape(s, 3).clamp(-FAR, FAR),
+        x.expand(*batch, 3).reshape(s, k, 3).clamp(-FAR, FAR),
         shape.expand(kept).reshape(s),
     )
 

@@ -82,6 +82,11 @@ class EncodedSurface(Calculus):
         radius = self.field.config.radius * self.scale
         return radius[self.only or 0] if len(self) == 1 else radius
 
+    @property
+    def like(self) -> Tensor:
+        """What every argument must have the dtype and the device of."""
+        return self.centre
+
     def __len__(self) -> int:
         return 1 if self.only is not None else len(self.scale)
 
@@ -136,12 +141,12 @@ class EncodedSurface(Calculus):
         Raises:
             TypeError, ValueError: naming the argument, what was expected and what came.
         """
-        p, v = self._checked(p, "v", v)
+        self.check(p=p, v=v)
         q, logit = self.decode_exp(p, v, shape, chunk_size)
         if not return_info:
             return q
         back, _ = self.decode_log(p, q, shape, chunk_size)
-        support = self._in_support(p, shape, logit.shape)
+        support = self.in_support(p, shape=shape).expand(logit.shape)
         return q, MapInfo(logit.sigmoid(), support, (back - v).norm(dim=-1))
 
     @overload
@@ -176,12 +181,12 @@ class EncodedSurface(Calculus):
         Raises:
             TypeError, ValueError: naming the argument, what was expected and what came.
         """
-        p, q = self._checked(p, "q", q)
+        self.check(p=p, q=q)
         v, logit = self.decode_log(p, q, shape, chunk_size)
         if not return_info:
             return v
         there, _ = self.decode_exp(p, v, shape, chunk_size)
-        support = self._in_support(p, shape, logit.shape)
+        support = self.in_support(p, shape=shape).expand(logit.shape)
         return v, MapInfo(logit.sigmoid(), support, (there - q).norm(dim=-1))
 
     def jacobian_exp(
@@ -192,9 +197,8 @@ class EncodedSurface(Calculus):
         Three tangents are carried through prior, sampler and decoder in forward mode, so a loss on
         J needs only a first-order backward. Arguments and errors as for `exp`.
         """
-        p, v = self._checked(p, "v", v)
-        q, jacobian = value_and_jacobian(lambda x: self.decode_exp(p, x, shape, CHUNK)[0], v)
-        return q, jacobian
+        self.check(p=p, v=v)
+        return value_and_jacobian(lambda x: self.decode_exp(p, x, shape, CHUNK)[0], v)
 
     def jacobian_log(
         self, p: Tensor, q: Tensor, *, shape: Tensor | None = None
@@ -203,9 +207,8 @@ class EncodedSurface(Calculus):
 
         Arguments and errors as for `log`.
         """
-        p, q = self._checked(p, "q", q)
-        v, jacobian = value_and_jacobian(lambda x: self.decode_log(p, x, shape, CHUNK)[0], q)
-        return v, jacobian
+        self.check(p=p, q=q)
+        return value_and_jacobian(lambda x: self.decode_log(p, x, shape, CHUNK)[0], q)
 
     def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Unit normals (..., 3) of the cloud's blended planes; their sign has no meaning (ours)."""
@@ -220,6 +223,12 @@ class EncodedSurface(Calculus):
         x, index, batch = self._in_cube(p, shape)
         x = self.embedding.planes.drop(x, index)
         return (self.centre[index] + self.scale[index][:, None] * x).view(*batch, 3)
+
+    def in_support(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
+        """(...) bool: p lies in or beside an occupied cell of the octree (ours)."""
+        x, index, batch = self._in_cube(p, shape)
+        inside = (x.abs() <= HALF_WIDTH).all(-1)
+        return (corners(self.embedding.level, x, index).in_support & inside).view(batch)
 
     def at(self, index: Tensor) -> EncodedSurface:
         """The same surface with fewer points of its own: those of `index` (M,), ascending."""
@@ -257,12 +266,6 @@ class EncodedSurface(Calculus):
         with self.field.half_precision():
             return in_chunks(partial(head, self.embedding), p, x, shape, chunk_size, SOURCES)
 
-    def _checked(self, p: Tensor, name: str, x: Tensor) -> tuple[Tensor, Tensor]:
-        checks.check_vectors("p", p, like=self.centre)
-        checks.check_vectors(name, x, like=self.centre)
-        checks.check_broadcast(**{"p": p, name: x})
-        return p, x
-
     def _shape_of(self, p: Tensor, shape: Tensor | None) -> Tensor:
         """Index (...) of the cloud that each base point belongs to."""
         if shape is None and len(self) > 1:
@@ -275,14 +278,9 @@ class EncodedSurface(Calculus):
         checks.check_index("shape", shape, len(self.scale), like=p)
         return shape
 
-    def _in_support(self, p: Tensor, shape: Tensor | None, batch: torch.Size) -> Tensor:
-        x, index, own = self._in_cube(p, shape)
-        inside = (x.abs() <= HALF_WIDTH).all(-1)
-        near = corners(self.embedding.level, x, index).in_support
-        return (near & inside).view(own).expand(batch)
-
     def _in_cube(self, p: Tensor, shape: Tensor | None) -> tuple[Tensor, Tensor, torch.Size]:
         """Points (Q, 3) in the cube, the cloud (Q,) of each, and their batch shape."""
+        self.check(p=p)
         index = self._shape_of(p, shape)
         batch = torch.broadcast_shapes(index.shape, p.shape[:-1])
         index = index.expand(batch).flatten()

@@ -195,3 +195,10 @@ def flat_grid(n=41):
     a = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
     faces = [np.stack([a, a + n, a + 1], -1), np.stack([a + 1, a + n, a + n + 1], -1)]
     return vertices, np.concatenate(faces)
+
+
+def finite(answer: Tensor | tuple) -> bool:
+    """No NaN and no infinity in a tensor, or in any of a tuple."""
+    if isinstance(answer, tuple):
+        return all(map(finite, answer))
+    return not answer.is_floating_point() or bool(answer.isfinite().all())

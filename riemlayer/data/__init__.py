@@ -1,1 +1,6 @@
-"""Shapes to learn from: closed-form, procedural and real ones, traced, filtered and augmented."""
+"""Shapes to encode and to learn from: files, clouds and functions in; traced truth for training."""
+
+from riemlayer.data.readers import RawShape, read_shape
+from riemlayer.data.sampling import sample_poisson
+
+__all__ = ["RawShape", "read_shape", "sample_poisson"]

@@ -18,6 +18,7 @@ from riemlayer.data.manifold import (
     manifold_defect,
     orient,
 )
+from riemlayer.data.sampling import sample_surface as sample_surface
 from riemlayer.data.slivers import heights, remove_slivers
 
 Vertices = NDArray[np.float64]
@@ -137,19 +138,6 @@ def normalise(vertices: Vertices) -> tuple[Vertices, Vertices, float]:
     if not scale > 0:
         raise ValueError("vertices must span a volume, all of them are equal")
     return (vertices - centre) / scale, centre, scale
-
-
-def sample_surface(vertices: Vertices, faces: Faces, n: int, rng: np.random.Generator) -> Vertices:
-    """n points drawn uniformly by area from the surface, (n, 3) (ours)."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    if not area.sum() > 0:
-        raise ValueError("faces must have an area, all of them are degenerate")
-    cumulative = np.cumsum(area / area.sum())
-    index = np.searchsorted(cumulative, rng.random(n)).clip(max=len(faces) - 1)
-    s, t = rng.random((2, n, 1))
-    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
-    return a[index] + s * (b - a)[index] + t * (c - a)[index]
 
 
 def remesh(

@@ -145,7 +145,8 @@ def run(
     done = {file.stem for file in out.glob("*.safetensors")} | _recorded(failures)
     todo = {name: job for name, job in jobs.items() if name not in done}
     failed = 0
-    with tqdm(total=len(jobs), initial=len(jobs) - len(todo), unit="shape") as bar:
+    finished = len(jobs) - len(todo)
+    with tqdm(total=len(jobs), initial=finished, unit="shape", delay=2, disable=None) as bar:
         for name, reason in _results(todo, out, workers, seconds):
             if reason is not None:
                 failed += 1

@@ -1,6 +1,18 @@
 """Local planes of a cloud, geodesic walking, frames."""
 
+from riemlayer.geometry.frames import angle_of, frame_of, nearest_isometry
 from riemlayer.geometry.planes import LocalPlanes, local_planes, planes_at_scales
 from riemlayer.geometry.walk import Walked, lay_flat, turn, walk
 
-__all__ = ["LocalPlanes", "Walked", "lay_flat", "local_planes", "planes_at_scales", "turn", "walk"]
+__all__ = [
+    "LocalPlanes",
+    "Walked",
+    "angle_of",
+    "frame_of",
+    "lay_flat",
+    "local_planes",
+    "nearest_isometry",
+    "planes_at_scales",
+    "turn",
+    "walk",
+]

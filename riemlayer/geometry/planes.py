@@ -53,7 +53,7 @@ class PlaneLevel(NamedTuple):
         exponent = offset.square().sum(0) * (-0.5 / (BLEND * self.level.cell_size) ** 2)
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
         agree = (normal * towards[:, None]).sum(0)
-        sign = torch.copysign(weight, agree)
+        sign = weight * torch.copysign(weight.new_ones(()), agree)  # copysign(0, .) has no slope
         distance = sign * (normal * offset).sum(0)
         return torch.cat(((normal * sign).sum(1), torch.stack((distance, weight)).sum(1)))
 

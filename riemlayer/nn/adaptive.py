@@ -39,8 +39,8 @@ class AdaptiveGeodesicConv(PolarConv):
     Shapes: x (N, inputs) -> (N, outputs).
 
     Raises:
-        ValueError: a size is below 1, `x` has another shape, or `surface` is not that of
-            `geometry`.
+        TypeError, ValueError: a size is below 1, `x` has another shape or is not real, or
+            `surface` is not that of `geometry`.
 
     >>> from riemlayer import ExpLogField
     >>> from riemlayer.ops import local_geometry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from riemlayer.checks import check_shapes
+from riemlayer.checks import check_shapes, check_tensor
 from riemlayer.ops import LocalGeometry
 
 
@@ -24,11 +24,14 @@ def check_sizes(**sizes: int) -> None:
 
 
 def check_features(x: Tensor, geometry: LocalGeometry, *channels: int) -> None:
-    """`x` has a row for each point of the geometry, and (N, *channels) is its shape.
+    """`x` is real and has a row for each point of the geometry: (N, *channels).
+
+    As in torch's own layers NaN is not looked for: mixed-precision training relies on that.
 
     Raises:
-        ValueError: naming `x`.
+        TypeError, ValueError: naming `x`.
     """
+    check_tensor("x", x)
     check_shapes(x=(x, " ".join(map(str, (geometry.points, *channels)))))
 
 
@@ -36,8 +39,9 @@ def check_coordinates(x: Tensor, geometry: LocalGeometry) -> None:
     """`x` holds tangent vectors (N, C, 2) in the frames of the geometry.
 
     Raises:
-        ValueError: naming `x`.
+        TypeError, ValueError: naming `x`.
     """
+    check_tensor("x", x)
     check_shapes(x=(x, f"{geometry.points} C 2"))
 
 
@@ -47,6 +51,8 @@ def check_streams(x: Tensor, orders: int, channels: int) -> None:
     Raises:
         ValueError: naming `x`.
     """
+    if not isinstance(x, Tensor):
+        check_tensor("x", x)
     if not x.is_complex():
         raise ValueError(f"x must be complex, got {x.dtype}; make it with to_streams(x, orders)")
     check_shapes(x=(x, f"N {orders} {channels}"))

@@ -7,7 +7,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from riemlayer.nn.arguments import check_features, check_sizes, check_streams
+from riemlayer.checks import check_shapes, check_tensor
+from riemlayer.nn.arguments import check_sizes, check_streams
 from riemlayer.nn.polar import ring_shares
 from riemlayer.nn.sums import Sums
 from riemlayer.numerics import safe_norm
@@ -20,13 +21,15 @@ def to_streams(x: Tensor, orders: int) -> Tensor:
     Tangent vectors make up stream 1: `torch.view_as_complex` of their coordinates (N, C, 2).
 
     Raises:
-        ValueError: orders is below 1.
+        TypeError, ValueError: orders is below 1, or `x` is not real or not (N, C).
 
     >>> to_streams(torch.ones(2, 3), orders=2)[0]
     tensor([[1.+0.j, 1.+0.j, 1.+0.j],
             [0.+0.j, 0.+0.j, 0.+0.j]])
     """
     check_sizes(orders=orders)
+    check_tensor("x", x)
+    check_shapes(x=(x, "N C"))
     rest = x.new_zeros(len(x), orders - 1, x.shape[1])
     x = torch.cat((x[:, None], rest), 1)
     return torch.complex(x, torch.zeros_like(x))
@@ -86,7 +89,7 @@ class HarmonicConv(nn.Module):
     def forward(self, x: Tensor, geometry: LocalGeometry) -> Tensor:
         orders, _, rings, inputs, outputs, _ = self.profile.shape
         check_streams(x, orders, inputs)
-        check_features(x, geometry, orders, inputs)
+        check_shapes(x=(x, f"{geometry.points} {orders} {inputs}"))
         sender, receiver = geometry.edge_index
         ring, share = ring_shares(geometry, rings)
         row = receiver[:, None] * (rings + 1) + ring

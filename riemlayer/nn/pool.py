@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from riemlayer.checks import check_shapes
+from riemlayer.checks import check_shapes, check_tensor
 from riemlayer.nn.arguments import check_features, check_sizes
 from riemlayer.nn.cells import Cells, geodesic_cells
 from riemlayer.numerics import segment_max, segment_mean, segment_sum
@@ -40,8 +40,9 @@ class GeodesicPool(nn.Module):
     Shapes: x (N, C) -> (M, C), and the `Cells`.
 
     Raises:
-        ValueError: not exactly one of ratio and count is given, one is out of range, `reduce` is
-            another word, channels does not go with it, or `x` has another shape.
+        TypeError, ValueError: not exactly one of ratio and count is given, one is out of range,
+            `reduce` is another word, channels does not go with it, `x` has another shape or dtype,
+            or the cells are those of another geometry.
 
     >>> from riemlayer import ExpLogField
     >>> from riemlayer.ops import local_geometry
@@ -77,8 +78,14 @@ class GeodesicPool(nn.Module):
         self, x: Tensor, geometry: LocalGeometry, cells: Cells | None = None
     ) -> tuple[Tensor, Cells]:
         """Pool `x`; `cells`, where they are known already, save the search for them."""
+        check_tensor("x", x)
         check_features(x, geometry, x.shape[-1] if self.score is None else self.score.in_features)
         cells = self.cells(geometry) if cells is None else cells
+        if len(cells.assignment) != len(x):
+            raise ValueError(
+                f"cells must be those of the geometry of {len(x)} points, "
+                f"got the cells of {len(cells.assignment)}"
+            )
         size = len(cells.index)
         if self.score is not None:
             return _attend(x, self.score(x), cells.assignment, size), cells

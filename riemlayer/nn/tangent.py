@@ -30,7 +30,7 @@ class TangentConv(PolarConv):
     Shapes: x (N, inputs) -> (N, outputs).
 
     Raises:
-        ValueError: a size is below 1, or `x` has another shape.
+        TypeError, ValueError: a size is below 1, or `x` has another shape or is not real.
 
     >>> import torch
     >>> from riemlayer import ExpLogField

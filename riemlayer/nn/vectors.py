@@ -19,7 +19,7 @@ class ParallelTransport(nn.Module):
     Shapes: x (N, C, 2) -> (E, C, 2).
 
     Raises:
-        ValueError: `x` has another shape.
+        TypeError, ValueError: `x` has another shape or is not real.
 
     >>> from riemlayer import ExpLogField
     >>> from riemlayer.ops import local_geometry
@@ -47,7 +47,7 @@ class VectorPool(nn.Module):
     Shapes: x (N, C, 2) -> (N, C, 2).
 
     Raises:
-        ValueError: `x` has another shape.
+        TypeError, ValueError: `x` has another shape or is not real.
 
     >>> from riemlayer import ExpLogField
     >>> from riemlayer.ops import local_geometry

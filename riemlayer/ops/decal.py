@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.calculus import Calculus
+from riemlayer.ops.arguments import check_point
 from riemlayer.ops.stitching import stitch_log
 
 
@@ -36,8 +37,11 @@ def decal(surface: Calculus, p: Tensor, up: Tensor, size: float, points: Tensor)
         points: (N, 3) on the surface.
 
     Raises:
-        ValueError: size is not positive, or `up` is normal to the surface at p.
+        TypeError, ValueError: size is not positive, `up` is normal to the surface at p, or a point
+            or vector has another shape or dtype or is not finite.
     """
+    check_point(surface, p=p)
+    check_point(surface, up=up)
     if not size > 0:
         raise ValueError(f"size must be positive, got {size}")
     above = surface.to_2d(p, surface.project(p, up))

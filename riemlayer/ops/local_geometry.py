@@ -7,10 +7,11 @@ from typing import NamedTuple, Self
 import torch
 from torch import Tensor
 
-from riemlayer.calculus import frame_of
-from riemlayer.geometry.walk import turn
+from riemlayer.checks import check_shapes
+from riemlayer.geometry import angle_of, frame_of, turn
 from riemlayer.numerics import falloff, normalise, safe_norm, segment_sum
 from riemlayer.octree import build_octree, knn, radius_search
+from riemlayer.ops.pieces import NEAR, pieces
 from riemlayer.surface import EncodedSurface
 
 MARGIN = 1.25
@@ -39,7 +40,8 @@ class LocalGeometry(NamedTuple):
     """(E,) Eq. (9) of r over the neighbourhood's radius; sums to 1 over a receiver's valid edges,
     and is 0 on others."""
     valid: Tensor
-    """(E,) bool: the neighbour lies before the receiver's cut locus."""
+    """(E,) bool: the neighbour lies before the receiver's cut locus, and on the same piece of the
+    cloud: a chord across a gap is no geodesic."""
     frame: Tensor
     """(N, 3, 3) frames, columns e1, e2, normal; normals agree between neighbours."""
     radius: Tensor
@@ -60,7 +62,11 @@ class LocalGeometry(NamedTuple):
         """The same geometry told in frames turned by `angle` (N,) about their normals.
 
         What layers that claim to be independent of the frames are tested with.
+
+        Raises:
+            ValueError: there is not one angle for each point.
         """
+        check_shapes(angle=(angle, str(self.points)))
         sender, receiver = self.edge_index
         theta = self.theta - angle[receiver]
         theta = torch.atan2(theta.sin(), theta.cos())
@@ -89,7 +95,7 @@ def local_geometry(
         radius: all neighbours within this geodesic distance (user's units) instead.
 
     Raises:
-        ValueError: k is below 1 or a cloud has too few points, or the radius is not positive.
+        ValueError: k is not in [1, points of the smallest cloud), or the radius is not positive.
 
     >>> from riemlayer import ExpLogField
     >>> points = torch.nn.functional.normalize(torch.randn(300, 3), dim=-1)
@@ -103,7 +109,7 @@ def local_geometry(
         raise ValueError(f"radius must be positive, got {radius}")
     points, shape = surface.points, surface.batch
     batch = shape - (surface.only or 0)
-    near = _nearest(surface, points, batch, shape, k, radius)  # (N, K), -1 where there is none
+    near, piece = _nearest(surface, points, batch, shape, k, radius)  # (N, K), -1: there is none
     here = torch.arange(len(points), device=points.device)[:, None]
     filled = torch.where(near < 0, here, near)
     log, logit = surface.decode_log(points[:, None], points[filled], shape[:, None])
@@ -112,7 +118,7 @@ def local_geometry(
     x = log @ frame[..., :2]  # (N, K, 2)
     r = safe_norm(x).squeeze(-1)
     kept = near >= 0 if radius is None else (near >= 0) & (r <= radius)
-    valid = logit > 0
+    valid = (logit > 0) & (piece[:, None] == piece[filled])
     reach = torch.where(kept & valid, r, 0).amax(-1).detach()
     window = MARGIN * reach if radius is None else torch.full_like(reach, radius)
     weight = falloff(r / window[:, None].clamp_min(1e-12))
@@ -136,13 +142,6 @@ def local_geometry(
     )
 
 
-def angle_of(x: Tensor) -> Tensor:
-    """Angle in (-pi, pi] of vectors (..., 2); 0, with gradient 0, for the zero vector."""
-    along = torch.tensor([1.0, 0.0], dtype=x.dtype, device=x.device)
-    x = torch.where((x == 0).all(-1, keepdim=True), along, x)
-    return torch.atan2(x[..., 1], x[..., 0])
-
-
 def _nearest(
     surface: EncodedSurface,
     points: Tensor,
@@ -150,17 +149,31 @@ def _nearest(
     shape: Tensor,
     k: int,
     radius: float | None,
-) -> Tensor:
-    """Indices (N, K) of each point's neighbours, itself not among them; -1 where there is none."""
+) -> tuple[Tensor, Tensor]:
+    """Indices (N, K) of each point's neighbours, itself not among them; -1 where there is none.
+
+    And the connected piece (N,) that each point belongs to.
+    """
+    count = batch.bincount()
+    least = int(count[count > 0].min()) if len(batch) else 0
+    others = k if radius is None else 1
+    if least <= others:
+        raise ValueError(
+            f"k must be less than the points of a cloud, got {others} where one has {least}; "
+            "ask for fewer, or sample more densely"
+        )
     depth = surface.field.config.backbone.depth + 1
     x = ((points - surface.centre[shape]) / surface.scale[shape][:, None]).detach().clamp(-1, 1)
     octree = build_octree(x, batch, depth, coarsest=max(0, depth - 4))
     here = torch.arange(len(x), device=x.device)
+    wanted = NEAR if radius is not None else max(k, NEAR)
+    index = knn(octree, x, x, min(wanted + 1, least), batch)[0]
+    other = (index != here[:, None]).byte()
+    order = torch.sort(other, stable=True, dim=-1, descending=True)[1][:, :-1]
+    near = index.gather(-1, order)
+    piece = pieces(points.detach(), near)
     if radius is None:
-        index = knn(octree, x, x, k + 1, batch)[0]
-        other = (index != here[:, None]).byte()
-        order = torch.sort(other, stable=True, dim=-1, descending=True)[1][:, :k]
-        return index.gather(-1, order)
+        return near[:, :k], piece
     widest = radius / float(surface.scale.min())
     query, point, _ = radius_search(octree, x, x, widest, batch)
     chord = (points[query] - points[point]).detach().norm(dim=-1)
@@ -170,7 +183,7 @@ def _nearest(
     place = torch.arange(len(query), device=x.device) - (count.cumsum(0) - count)[query]
     index = query.new_full((len(x), max(1, int(count.max()))), -1)
     index[query, place] = point
-    return index
+    return index, piece
 
 
 @torch.no_grad()
@@ -180,6 +193,7 @@ def orient(normal: Tensor, points: Tensor, neighbours: Tensor, batch: Tensor) ->
     Signs spread from each cloud's highest point, where the normal points up, to the neighbours of
     those that have one; each takes the sign that most neighbours agree with. Neighbours across a
     thin sheet, whose chord runs along the normal, have no say. Which side is outside stays open.
+    Normals of points that nobody has a say in point up.
 
     Args:
         normal, points: (N, 3).
@@ -196,7 +210,8 @@ def orient(normal: Tensor, points: Tensor, neighbours: Tensor, batch: Tensor) ->
     sender = neighbours.flatten()
     ends, starts = torch.cat((receiver, sender)), torch.cat((sender, receiver))
     vote = torch.cat((vote, vote))
-    sign = torch.zeros_like(points[:, 0])
+    said = segment_sum((vote * (ends != starts)).abs()[:, None], ends, len(points)).squeeze(-1)
+    sign = torch.where(said == 0, _upward(normal), 0)
     while bool((sign == 0).any()):
         sign = _seeded(sign, normal, points, batch)
         while True:
@@ -214,5 +229,9 @@ def _seeded(sign: Tensor, normal: Tensor, points: Tensor, batch: Tensor) -> Tens
     top = height.new_full((int(batch[-1]) + 1,), -torch.inf)
     top = top.scatter_reduce(0, batch, height, "amax")
     first = (sign == 0) & (height == top[batch])
-    up = torch.where(normal[:, 2] < 0, -1.0, 1.0).to(sign.dtype)
-    return torch.where(first, up, sign)
+    return torch.where(first, _upward(normal), sign)
+
+
+def _upward(normal: Tensor) -> Tensor:
+    """Signs (N,) that make normals point up."""
+    return torch.where(normal[:, 2] < 0, -1.0, 1.0).to(normal.dtype)

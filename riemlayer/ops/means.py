@@ -8,6 +8,9 @@ import torch
 from torch import Tensor
 
 from riemlayer.calculus import Calculus
+from riemlayer.geometry import angle_of
+from riemlayer.numerics import safe_norm
+from riemlayer.ops.arguments import check_cloud, shares
 from riemlayer.queries import value_and_jacobian
 
 LONGEST = 0.5
@@ -65,21 +68,19 @@ def frechet_mean(
     Shapes: -> (..., 3).
 
     Raises:
-        ValueError: there is no point, the weights are negative or sum to 0, or `gradient` is
-            another word.
+        TypeError, ValueError: there is no point, one is not finite or of another dtype, the weights
+            are negative or sum to 0, or `gradient` is another word.
     """
+    surface.check(points=points)
     if points.dim() < 2 or points.shape[-2] == 0:
         raise ValueError(f"points must be (..., K, 3) with K >= 1, got {tuple(points.shape)}")
     if gradient not in ("unrolled", "implicit"):
         raise ValueError(f"gradient must be 'unrolled' or 'implicit', got {gradient!r}")
-    w = torch.ones_like(points[..., 0]) if weights is None else weights.expand(points.shape[:-1])
-    if bool((w < 0).any()) or bool((w.sum(-1) <= 0).any()):
-        raise ValueError("weights must be at least 0 and not all 0")
-    w = w / w.sum(-1, keepdim=True)
+    w = shares(points, weights)
     with torch.set_grad_enabled(torch.is_grad_enabled() and gradient == "unrolled"):
-        x = _start(points, w)
+        x = surface.snap(_start(points, w), shape=shape)
         for _ in range(steps):
-            v = _mean_log(surface, x, points, w, shape)
+            v = _short(surface, x, _mean_log(surface, x, points, w, shape), shape)
             x = surface.snap(surface.decode_exp(x, v, shape)[0], shape=shape)
     return _implicit(surface, x, points, w, shape) if gradient == "implicit" else x
 
@@ -94,12 +95,16 @@ def _start(points: Tensor, w: Tensor) -> Tensor:
 def _mean_log(
     surface: Calculus, x: Tensor, points: Tensor, w: Tensor, shape: Tensor | None
 ) -> Tensor:
-    """sum_i w_i Log_x(q_i) (..., 3), tangent, no longer than a step may be."""
+    """sum_i w_i Log_x(q_i) (..., 3), tangent."""
     wide = None if shape is None else shape[..., None]
     log = surface.decode_log(x[..., None, :], points, wide)[0]
-    v = surface.project(x, (w[..., None] * log).sum(-2), shape=shape)
-    longest = LONGEST * surface.radius_at(x, shape)
-    return v * (longest / surface.norm(x, v).clamp_min(1e-12)).clamp_max(1)[..., None]
+    return surface.project(x, (w[..., None] * log).sum(-2), shape=shape)
+
+
+def _short(surface: Calculus, x: Tensor, v: Tensor, shape: Tensor | None) -> Tensor:
+    """Steps v (..., 3) from x, no longer than a step may be."""
+    longest = LONGEST * surface.radius_at(x, shape)[..., None]
+    return v * (longest / safe_norm(v)).clamp_max(1)
 
 
 def _implicit(
@@ -107,7 +112,9 @@ def _implicit(
 ) -> Tensor:
     """One Newton step on F(x) = sum_i w_i Log_x(q_i) whose slope in x is held fixed.
 
-    Its derivative in points and weights is that of the implicit function, -F_x^-1 dF.
+    Its derivative in points and weights is that of the implicit function, -F_x^-1 dF. Where the
+    slope is singular, as between points that are too far apart to have one mean, the step is the
+    least-squares one.
     """
     axes = surface.frame(x, shape=shape)[..., :2].detach()
     x = x.detach()
@@ -118,8 +125,10 @@ def _implicit(
     with torch.no_grad():
         _, slope = value_and_jacobian(condition, x)
         slope = axes.mT @ slope @ axes
-    step = torch.linalg.solve(slope, axes.mT @ condition(x)[..., None])
-    return x - (axes @ step).squeeze(-1)
+        eye = torch.finfo(x.dtype).eps * torch.eye(2, dtype=x.dtype, device=x.device)
+        inverse = torch.linalg.solve(slope.mT @ slope + eye, slope.mT)
+    step = (axes @ (inverse @ (axes.mT @ condition(x)[..., None]))).squeeze(-1)
+    return x - _short(surface, x, step, shape)
 
 
 def tangent_pca(
@@ -131,17 +140,33 @@ def tangent_pca(
 ) -> Principal:
     """Principal directions of points around their Fréchet mean, in its tangent plane (ours).
 
-    Args: as for `frechet_mean`.
+    Gradients are finite where no direction stands out, as of coincident points.
+
+    Args, Raises: as for `frechet_mean`.
     """
     mean = frechet_mean(surface, points, weights, shape=shape)
-    w = torch.ones_like(points[..., 0]) if weights is None else weights.expand(points.shape[:-1])
-    w = w / w.sum(-1, keepdim=True)
+    w = shares(points, weights)
     wide = None if shape is None else shape[..., None]
     log = surface.decode_log(mean[..., None, :], points, wide)[0]
     axes = surface.frame(mean, shape=shape)[..., :2]
     x = log @ axes  # (..., K, 2)
-    variances, vectors = torch.linalg.eigh(x.mT @ (w[..., None] * x))
-    return Principal(mean, variances.flip(-1), axes @ vectors.flip(-1))
+    variances, first = _principal((x.mT @ (w[..., None] * x)).flatten(-2))
+    second = torch.stack((-first[..., 1], first[..., 0]), -1)
+    return Principal(mean, variances, axes @ torch.stack((first, second), -1))
+
+
+def _principal(m: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues (..., 2), descending, of symmetric matrices (..., 4) and first eigenvectors.
+
+    In closed form, as the gradient of `eigh` is not finite where eigenvalues coincide.
+    """
+    a, b, _, c = m.unbind(-1)
+    apart = torch.stack(((a - c) / 2, b), -1)  # twice the angle of the first axis
+    size = safe_norm(apart).squeeze(-1)
+    half = angle_of(apart) / 2
+    middle = (a + c) / 2
+    first = torch.stack((half.cos(), half.sin()), -1)
+    return torch.stack((middle + size, (middle - size).clamp_min(0)), -1), first
 
 
 @torch.no_grad()
@@ -161,10 +186,9 @@ def kmeans(
         seed: of the first centre.
 
     Raises:
-        ValueError: k is not in [1, N].
+        TypeError, ValueError: k is not in [1, N], or points are not (N, 3), finite and of the
+            surface's dtype.
     """
-    if not 1 <= k <= len(points):
-        raise ValueError(f"k must lie in [1, {len(points)}] (the points), got {k}")
     centres = points[farthest_points(surface, points, k, seed)]
     label, distance = _nearest(surface, centres, points)
     for _ in range(steps):
@@ -183,8 +207,11 @@ def kmeans(
 def farthest_points(surface: Calculus, points: Tensor, k: int, seed: int = 0) -> Tensor:
     """Indices (k,) of points, each geodesically farthest from those before it (ours).
 
-    Args: as for `kmeans`.
+    Args, Raises: as for `kmeans`.
     """
+    check_cloud(surface, points)
+    if not 1 <= k <= len(points):
+        raise ValueError(f"k must lie in [1, {len(points)}] (the points), got {k}")
     generator = torch.Generator().manual_seed(seed)
     chosen = [int(torch.randint(len(points), (), generator=generator))]
     distance = surface.dist(points[chosen[0]], points)

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riemlayer.calculus import Calculus, nearest_isometry
+from riemlayer.calculus import Calculus
+from riemlayer.geometry import nearest_isometry
 from riemlayer.numerics import falloff, safe_norm
+from riemlayer.ops.arguments import check_cloud, check_point
 
 SHELL = (0.75, 0.95)
 """Where in a chart new centres are looked for, in chart radii (appendix F)."""
@@ -67,16 +69,17 @@ def stitch_log(
 
     Args:
         surface: an encoded surface of one shape.
-        p: (3,) the source.
+        p: (3,) the source; nothing is covered where it is off the surface.
         points: (N, 3) on the surface; centres are taken from them.
         depth: rounds after the source's own chart; 0 is the plain log map.
         radius: of a chart, user's units; the trained radius by default.
 
     Raises:
-        ValueError: p is not one point, depth is negative or the radius not positive.
+        TypeError, ValueError: p is not one point or points are not (N, 3), one is not finite or of
+            another dtype, depth is negative or the radius not positive.
     """
-    if p.shape != (3,):
-        raise ValueError(f"p must be one point (3,), got {tuple(p.shape)}")
+    check_cloud(surface, points)
+    check_point(surface, p=p)
     if depth < 0:
         raise ValueError(f"depth must be at least 0, got {depth}")
     if radius is not None and not radius > 0:
@@ -108,6 +111,10 @@ def _charts(
     log, logit = surface.decode_log(centres[:, None], points[None])
     local = log @ surface.frame(centres)[:, :, :2]
     inside = (logit > 0) & ((points[None] - centres[:, None]).norm(dim=-1) < reach)
+    inside &= surface.in_support(centres)[:, None]
+    for i, centre in enumerate(centres):
+        near = inside[i].nonzero().squeeze(-1)
+        inside[i, near] = surface.comes_back(centre, points[near], log[i, near])
     d = safe_norm(local).squeeze(-1) / reach
     return local, torch.where(inside, falloff(d), 0)
 

@@ -1,23 +1,35 @@
-"""Log maps as checkerboards and Exp as fans of geodesics, as a picture and as a page to turn.
+"""Log maps as checkerboards and polar grids, Exp as fans of geodesics, atlases, errors, validity.
 
-Needs the extra `viz` (pyvista) for pictures; the page needs nothing.
+One `Drawing` becomes a picture (`write_png`), a page to turn (`write_html`) or a part of the viewer
+in which a click chooses the source (`serve`). Pictures need the extra `viz` (pyvista, matplotlib);
+pages and the viewer need a browser alone.
 """
 
-from riemlayer.viz.drawing import (
-    Drawing,
-    View,
-    checkerboard,
-    tangent_coordinates,
-    tangent_frame,
-    viewpoint,
-)
+from riemlayer.viz.canvas import Canvas
+from riemlayer.viz.drawing import Drawing
 from riemlayer.viz.html import write_html
+from riemlayer.viz.mesh import subdivide
+from riemlayer.viz.palette import colour_map, label_colours
 from riemlayer.viz.png import write_png
+from riemlayer.viz.scenes import draw_exp, draw_log
+from riemlayer.viz.server import Viewer, serve
+from riemlayer.viz.tiles import checkerboard, polar_grid
+from riemlayer.viz.view import View, outward, tangent_coordinates, tangent_frame, viewpoint
 
 __all__ = [
+    "Canvas",
     "Drawing",
     "View",
+    "Viewer",
     "checkerboard",
+    "colour_map",
+    "draw_exp",
+    "draw_log",
+    "label_colours",
+    "outward",
+    "polar_grid",
+    "serve",
+    "subdivide",
     "tangent_coordinates",
     "tangent_frame",
     "viewpoint",

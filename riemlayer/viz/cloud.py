@@ -1,47 +1,158 @@
-"""A cloud as a surface of small discs: normals, sizes, and how a log map runs across each disc."""
+"""A cloud as a surface of small discs: how large they are and what varies across each."""
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
+
+from riemlayer.viz.view import tangent_frame, unit
 
 Array = np.ndarray
 
 STEEPEST = 3.0
-"""A log map that changes faster than this across a disc is torn there (cut locus): drawn flat."""
+"""A log map that changes faster than this along the surface is torn there (cut locus)."""
+NEAR = 16
+"""Neighbours that a disc is fitted to."""
+RIM = 8
+"""A disc reaches `OVERLAP` times as far as this neighbour: random samples leave no holes then."""
+OVERLAP = 1.1
+LONE = 1.15
+"""A disc is at most that much larger than its neighbours: those at corners are."""
+STIFFNESS = np.diag([0.0, 0.0, 0.0, 0.02, 0.02, 0.02]) + 1e-6 * np.eye(6)
+"""Keeps the fit of few or noisy neighbours from bending wildly."""
+GAP = 2.6
+"""Angle (radians) without neighbours from which on a point lies at the border of the surface."""
+BORDER = 0.3
+"""A disc at the border ends there on the outer side, in distances to neighbour `RIM`."""
 
 
-def neighbourhoods(points: Array, k: int = 12, chunk: int = 1024) -> tuple[Array, float]:
-    """Indices (N, k) of the nearest points, and the median distance to the fourth one."""
+class Discs(NamedTuple):
+    """One tangent disc a point, in the order of the cloud."""
+
+    neighbours: Array
+    """(N, k) indices, the point itself first."""
+    normals: Array
+    """(N, 3) unit; their sign has no meaning unless it was given."""
+    size: Array
+    """(N,) radius."""
+    bend: Array
+    """(N, 3, 3) derivative of the normal along the surface: discs shaded with it look smooth."""
+    rim: Array
+    """(N, 3) a disc at the border of the surface ends where offset . rim = 1; 0 elsewhere."""
+    spacing: float
+    """Median distance to the third neighbour."""
+
+
+def fit_discs(points: Array, normals: Array | None = None) -> Discs:
+    """Discs that cover a raw cloud (N, 3), from its nearest neighbours (ours).
+
+    Args:
+        points: (N, 3)
+        normals: (N, 3) where they are known; local planes otherwise.
+    """
+    neighbours, distance = neighbourhoods(points, NEAR)
+    reach = distance[:, min(RIM, distance.shape[1] - 1)]
+    reach = np.minimum(reach, LONE * np.median(reach[neighbours], axis=1))
+    if normals is None:
+        normals, bend = fit_normals(points, neighbours, distance)
+        normals = agreed_normals(points, normals, bend, neighbours)
+    else:
+        bend = bends(points, normals, neighbours)
+    rim, share = borders(points, normals, neighbours, reach)
+    spacing = float(np.median(distance[:, min(3, distance.shape[1] - 1)]))
+    return Discs(neighbours, normals, OVERLAP * share * reach, bend, rim, spacing)
+
+
+def neighbourhoods(points: Array, k: int) -> tuple[Array, Array]:
+    """Indices and distances (N, k) of the nearest points, nearest first."""
     import torch
 
-    x = torch.from_numpy(points).float()
-    near = [torch.cdist(part, x).topk(min(k, len(x)), largest=False) for part in x.split(chunk)]
-    spacing = torch.cat([part.values for part in near])[:, min(4, len(x) - 1)].median()
-    return torch.cat([part.indices for part in near]).numpy(), float(spacing)
+    from riemlayer.field import bounding_cubes
+    from riemlayer.octree import build_octree
+    from riemlayer.octree.search import knn
+
+    x, batch = torch.from_numpy(points).float(), torch.zeros(len(points), dtype=torch.long)
+    centre, scale = bounding_cubes(x, batch)
+    scale = scale.clamp_min(1e-30)
+    x = ((x - centre) / scale[:, None]).clamp(-1, 1)
+    depth = min(max(round(math.log(len(x) / 4, 4)), 1), 8)
+    index, distance = knn(build_octree(x, batch, depth), x, x, min(k, len(x)))
+    return index.numpy(), distance.double().numpy() * float(scale[0])
 
 
-def pca_normals(points: Array, neighbours: Array) -> Array:
-    """Unit normals (N, 3): the direction in which the neighbours (N, k) spread least."""
-    offset = points[neighbours] - points[neighbours].mean(1, keepdims=True)
-    return np.linalg.eigh(offset.transpose(0, 2, 1) @ offset)[1][..., 0]
+def fit_normals(points: Array, neighbours: Array, distance: Array) -> tuple[Array, Array]:
+    """Unit normals (N, 3) and their derivatives along the surface (N, 3, 3).
+
+    A quadratic height over the plane of least spread is fitted to the neighbours (N, k), near ones
+    counting more: a plane alone leans wherever samples of a curved surface are uneven.
+    """
+    weight = (1.01 - (distance / distance[:, -1:].clip(1e-300)) ** 2)[..., None]
+    mean = (weight * points[neighbours]).sum(1, keepdims=True) / weight.sum(1, keepdims=True)
+    offset = points[neighbours] - mean
+    plane = np.linalg.eigh(offset.transpose(0, 2, 1) @ (weight * offset))[1][..., 0]
+    scale = distance[:, -1].clip(1e-300)[:, None, None]
+    offset = (points[neighbours] - points[:, None]) / scale
+    axes = tangent_frame(plane)  # (N, 2, 3)
+    x, y = (offset @ axes.transpose(0, 2, 1)).transpose(2, 0, 1)
+    height = (offset * plane[:, None]).sum(-1, keepdims=True)
+    terms = np.stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2], -1)
+    normal_matrix = terms.transpose(0, 2, 1) @ (weight * terms) + STIFFNESS
+    c = np.linalg.solve(normal_matrix, terms.transpose(0, 2, 1) @ (weight * height))[..., 0]
+    normals = unit(plane - (c[:, 1:3, None] * axes).sum(1))
+    hessian = c[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
+    return normals, -axes.transpose(0, 2, 1) @ hessian @ axes / scale
+
+
+def agreed_normals(points: Array, normals: Array, bend: Array, neighbours: Array) -> Array:
+    """Unit normals (N, 3): the mean of what the neighbours expect, those that disagree left out."""
+    step = points[:, None] - points[neighbours]
+    expected = normals[neighbours] + (bend[neighbours] @ step[..., None])[..., 0]
+    alike = (unit(expected) * normals[:, None]).sum(-1, keepdims=True)
+    return unit((alike**9 * expected).sum(1))
+
+
+def borders(points: Array, normals: Array, neighbours: Array, reach: Array) -> tuple[Array, Array]:
+    """Where discs end short: a wide angle without neighbours is outside.
+
+    Args:
+        points, normals, neighbours: (N, 3), (N, 3) and (N, k).
+        reach: (N,) distance to neighbour `RIM`.
+
+    Returns:
+        (N, 3) `Discs.rim`, and what share (N,) of the size is left: less than 1 at corners.
+    """
+    axes = tangent_frame(normals)
+    x, y = ((points[neighbours[:, 1:]] - points[:, None]) @ axes.transpose(0, 2, 1)).T
+    angle = np.sort(np.arctan2(y, x), axis=0)  # (k - 1, N)
+    gap = np.diff(angle, axis=0, append=angle[:1] + 2 * np.pi)
+    widest = gap.argmax(0)[None]
+    gap, start = (np.take_along_axis(z, widest, 0)[0] for z in (gap, angle))
+    middle = start + gap / 2
+    out = np.cos(middle)[:, None] * axes[:, 0] + np.sin(middle)[:, None] * axes[:, 1]
+    rim = np.where((gap > GAP)[:, None], out / (BORDER * reach.clip(1e-300))[:, None], 0.0)
+    return rim, (2 - gap / np.pi).clip(0.3, 1)
 
 
 def slopes(points: Array, log: Array, neighbours: Array) -> Array:
-    """Least-squares derivative (N, 2, 3) of a log map (N, 2) along the surface."""
-    dx = points[neighbours] - points[:, None]
+    """Least-squares derivative (N, 2, 3) of a log map (N, 2) along the surface; 0 where torn."""
     dy = log[neighbours] - log[:, None]
-    moment = dx.transpose(0, 2, 1) @ dx
-    moment += 1e-2 * np.trace(moment, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    slope = np.linalg.solve(moment, dx.transpose(0, 2, 1) @ dy).transpose(0, 2, 1)
+    slope = _derivative(points, neighbours, dy)
     return slope * (np.linalg.norm(slope, axis=(1, 2)) < STEEPEST)[:, None, None]
 
 
-def discs(points: Array, normals: Array, radius: float, corners: int = 10) -> tuple[Array, Array]:
-    """Offsets (N, corners, 3) of the rims of tangent discs, and their faces (N, corners)."""
-    axis = np.eye(3)[np.abs(normals).argmin(1)]
-    first = np.cross(normals, axis)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normals, first)
-    angle = 2 * np.pi * np.arange(corners)[:, None] / corners
-    offset = np.cos(angle) * first[:, None] + np.sin(angle) * second[:, None]
-    return radius * offset, np.arange(len(points) * corners).reshape(-1, corners)
+def bends(points: Array, normals: Array, neighbours: Array) -> Array:
+    """Least-squares derivative (N, 3, 3) of the normals (N, 3), whatever their signs."""
+    around = normals[neighbours]
+    sign = np.where((around * normals[:, None]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+    return _derivative(points, neighbours, sign * around - normals[:, None])
+
+
+def _derivative(points: Array, neighbours: Array, dy: Array) -> Array:
+    """(N, m, 3) the slope that explains differences (N, k, m) to the neighbours best."""
+    dx = points[neighbours] - points[:, None]
+    moment = dx.transpose(0, 2, 1) @ dx
+    trace = np.trace(moment, axis1=1, axis2=2).clip(1e-300)
+    moment += 1e-2 * trace[:, None, None] * np.eye(3)
+    return np.linalg.solve(moment, dx.transpose(0, 2, 1) @ dy).transpose(0, 2, 1)

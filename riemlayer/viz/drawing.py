@@ -1,42 +1,55 @@
-"""What is drawn: a shape, a log map on it, geodesics, and where one looks from."""
+"""What is drawn: a shape, a log map or numbers on it, geodesics."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from riemlayer.viz.cloud import neighbourhoods, pca_normals, slopes
+from riemlayer.viz.canvas import Canvas
+from riemlayer.viz.view import to_numpy
 
 Array = np.ndarray
-
-BLUE, CREAM = (0.0, 0.447, 0.698), (0.965, 0.945, 0.875)
-"""The two tiles: apart in lightness, so that no kind of colour blindness merges them."""
-PLAIN = (0.80, 0.80, 0.82)
-"""Surface out of reach of the map."""
-ORANGE, BLACK = (0.835, 0.369, 0.0), (0.1, 0.1, 0.1)
-"""Geodesics: the answer, and the reference beside it."""
-DOT = (0.35, 0.35, 0.4)
+PATTERNS = {"checker": 1, "polar": 2}
+"""Numbers of the tile patterns in `surface.glsl`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
     """One shape with what was calculated on it; tensors and arrays are both welcome.
 
+    A surface shows one of: tiles of `log` (tinted with `colours` where both are given), `values` by
+    colour map, `colours`, or nothing.
+
     Args:
-        points: (N, 3) vertices of a mesh, or a cloud (drawn as small discs).
+        points: (N, 3) vertices of a mesh, or a cloud (drawn as small discs); or a `Canvas`, which
+            several drawings of one shape can share.
         faces: (M, 3) triangles, or None for a cloud.
-        log: (N, 2) tangent coordinates of every point (`tangent_coordinates`), drawn as tiles.
+        log: (N, 2) tangent coordinates of every point (`tangent_coordinates`), drawn as tiles;
+            NaN is drawn plain.
         p: (3,) source, drawn as a ball.
         dots: (D, 3) points to mark, such as the cloud that stands for the mesh.
         paths: (K, T, 3) polylines such as geodesics from `p`.
         reference: polylines to hold `paths` against, drawn thinner and in black.
         title: a few words above the picture.
-        radius: the checkerboard ends at |log| = radius.
-        period: side of a tile, in the unit of `log`.
-        colours: (N, 3) in [0, 1], a colour for every point instead of tiles; pictures only.
+        radius: tiles end at |log| = radius.
+        period: side of a tile, in the unit of `log`; width of a ring of the polar grid.
+        colours: (N, 3) in [0, 1], a colour for every point.
+        texture: tiles are `"checker"` or `"polar"` (rings and sectors).
+        values: (N,) numbers for every point, with a colour bar; NaN is drawn plain.
+        limits: ends of the colour bar; by default the least and the greatest of the drawn values.
+        label: words beside the colour bar.
+        valid: (N,) nothing is drawn where this is below 1/2, such as a bool mask or `validity`.
+
+    Raises:
+        ValueError: naming the argument, what was expected and what came.
+
+    Example:
+        >>> square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+        >>> Drawing(square, [[0, 1, 2], [0, 2, 3]], values=[0.0, 2.0, 5.0, np.nan]).limits
+        (0.0, 5.0)
     """
 
     points: Any
@@ -50,134 +63,88 @@ class Drawing:
     radius: float = 0.5
     period: float = 0.1
     colours: Any = None
-    normals: Array = field(init=False)
-    """(N, 3) unit normals for shading; their sign has no meaning on a cloud."""
-    spacing: float = field(init=False)
-    """Typical distance of neighbouring points."""
+    texture: Literal["checker", "polar"] = "checker"
+    values: Any = None
+    limits: tuple[float, float] | None = None
+    label: str = ""
+    valid: Any = None
+    canvas: Canvas = field(init=False)
+    """The shape as it is drawn."""
     slope: Array | None = field(init=False, default=None)
     """(N, 2, 3) derivative of `log` along the surface, for the discs of a cloud."""
 
     def __post_init__(self) -> None:
-        points = to_numpy(self.points, float)
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
-            raise ValueError(f"`points` must have shape (N, 3) with N >= 4, got {points.shape}")
-        if self.log is not None and np.shape(self.log) != (len(points), 2):
-            raise ValueError(
-                f"`log` must have shape ({len(points)}, 2), got {np.shape(self.log)}; "
-                "flatten vectors with tangent_coordinates(log, normal)"
-            )
-        if self.colours is not None and np.shape(self.colours) != points.shape:
-            raise ValueError(
-                f"`colours` must have shape {points.shape}, got {np.shape(self.colours)}"
-            )
-        put: dict[str, Any] = {"points": points}
-        kinds = {"faces": np.int64, "log": float, "p": float, "dots": float, "colours": float}
-        for name, dtype in kinds.items():
+        canvas = self.points
+        if not isinstance(canvas, Canvas):
+            canvas = Canvas(self.points, self.faces)
+        n = len(canvas.points)
+        put: dict[str, Any] = {"canvas": canvas, "points": canvas.points, "faces": canvas.faces}
+        for name, shape in {
+            "log": (n, 2),
+            "colours": (n, 3),
+            "values": (n,),
+            "valid": (n,),
+        }.items():
+            put[name] = _checked(name, getattr(self, name), shape)
+        for name in ("p", "dots"):
             value = getattr(self, name)
-            put[name] = None if value is None else to_numpy(value, dtype)
+            put[name] = None if value is None else to_numpy(value, float)
         for name in ("paths", "reference"):
             put[name] = tuple(to_numpy(path, float) for path in getattr(self, name))
-        if put["faces"] is None:
-            neighbours, put["spacing"] = neighbourhoods(points)
-            put["normals"] = pca_normals(points, neighbours)
-            if put["log"] is not None:
-                put["slope"] = slopes(points, put["log"], neighbours)
-        else:
-            put["normals"], put["spacing"] = _mesh_normals(points, put["faces"])
+        if self.texture not in PATTERNS:
+            raise ValueError(f"`texture` must be one of {', '.join(PATTERNS)}, got {self.texture}")
+        if put["values"] is not None:
+            if put["log"] is not None or put["colours"] is not None:
+                raise ValueError("`values` must stand alone, got `log` or `colours` beside them")
+            put |= self._numbers(put["values"], put["valid"])
+        if put["log"] is not None:
+            whole = np.isfinite(put["log"]).all(1)
+            if not whole.all():
+                put["log"] = np.where(whole[:, None], put["log"], 0.0)
+                put["valid"] = whole * (1.0 if put["valid"] is None else put["valid"])
+            put["slope"] = canvas.slope(put["log"])
         for name, value in put.items():
             object.__setattr__(self, name, value)
 
+    @property
+    def pattern(self) -> int:
+        """Number in `surface.glsl` of what the surface shows."""
+        if self.values is not None:
+            return 3
+        if self.log is None:
+            return 0 if self.colours is None else 4
+        return PATTERNS[self.texture] if self.colours is None else 5
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """One camera for all pictures of a shape.
+    @property
+    def normals(self) -> Array:
+        """(n, 3) unit normals of the drawn vertices, see `Canvas`."""
+        return self.canvas.normals
 
-    Args:
-        centre: (3,) middle of what is seen.
-        extent: radius of the ball about the centre that holds the shape.
-        direction: (3,) unit vector from the centre to the eye.
-        up: (3,) unit vector, orthogonal to `direction`.
-    """
+    @property
+    def spacing(self) -> float:
+        """Typical distance of neighbouring points."""
+        return self.canvas.spacing
 
-    centre: Array
-    extent: float
-    direction: Array
-    up: Array
-    fit: float
-    """Half the side of the square that holds the shape as seen from here."""
-
-
-def viewpoint(points: Any, normal: Any, tilt: float = 0.6) -> View:
-    """The camera that sees a source well: from above its tangent plane, a little from the side.
-
-    Args:
-        points: (N, 3) the whole shape.
-        normal: (3,) normal at the source, pointing outward.
-        tilt: how far the eye leans from the normal, as a tangent.
-    """
-    points, normal = to_numpy(points, float), _unit(to_numpy(normal, float))
-    vertical = np.array([0.0, 1.0, 0.0]) if abs(normal[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
-    right = _unit(np.cross(vertical, normal))
-    direction = _unit(normal + tilt * (_unit(np.cross(normal, right)) + 0.7 * right))
-    right = _unit(np.cross(vertical, direction))
-    axes = np.stack([right, np.cross(direction, right), direction])
-    seen = points @ axes.T
-    centre = (seen.min(0) + seen.max(0)) / 2 @ axes
-    extent = np.linalg.norm(points - centre, axis=1).max()
-    return View(
-        centre, float(extent), direction, axes[1], float(np.ptp(seen[:, :2], axis=0).max() / 2)
-    )
+    def _numbers(self, values: Array, valid: Array | None) -> dict[str, Any]:
+        """Values without holes, where they are valid, and the ends of the colour bar."""
+        drawn = np.isfinite(values)
+        if valid is not None:
+            drawn &= valid >= 0.5
+        limits = self.limits
+        if limits is None:
+            shown = values[drawn] if drawn.any() else np.zeros(1)
+            limits = shown.min(), shown.max()
+        low, high = map(float, limits)
+        if not low <= high:
+            raise ValueError(f"`limits` must be (low, high), got {limits}")
+        values = np.where(drawn, values, low)
+        return {"values": values, "valid": drawn.astype(float), "limits": (low, high)}
 
 
-def tangent_frame(normal: Any) -> Array:
-    """Two orthonormal axes (2, 3) of the plane with this normal (3,); they depend on it alone."""
-    normal = _unit(to_numpy(normal, float))
-    axis = np.eye(3)[np.abs(normal).argmin()]
-    first = _unit(axis - (axis @ normal) * normal)
-    return np.stack([first, np.cross(normal, first)])
-
-
-def tangent_coordinates(log: Any, normal: Any) -> Array:
-    """Appendix A: ambient tangent vectors (N, 3) in the frame of the plane with this normal (3,).
-
-    All methods get the same frame, so their maps can be laid side by side.
-
-    Example:
-        >>> tangent_coordinates([[3.0, 4.0, 0.0]], [0.0, 0.0, 1.0]).round(6)
-        array([[3., 4.]])
-    """
-    return to_numpy(log, float) @ tangent_frame(normal).T
-
-
-def checkerboard(log: Any, period: float = 0.1, radius: float = 0.5) -> Array:
-    """Colours (N, 3) in [0, 1] of tangent coordinates (N, 2): tiles up to `radius`.
-
-    Example:
-        >>> colours = checkerboard([[0.05, 0.05], [0.05, 0.15], [9.0, 0.0]])
-        >>> colours.round(1).tolist()
-        [[0.0, 0.4, 0.7], [1.0, 0.9, 0.9], [0.8, 0.8, 0.8]]
-    """
-    log = to_numpy(log, float)
-    odd = np.floor(log / period).sum(-1) % 2 == 1
-    colours = np.where(odd[:, None], CREAM, BLUE)
-    return np.where((np.linalg.norm(log, axis=-1) <= radius)[:, None], colours, PLAIN)
-
-
-def to_numpy(x: Any, dtype: Any) -> Array:
-    """A numpy array of a tensor (of any device, with or without a graph), an array or a list."""
-    x = x.detach().cpu() if hasattr(x, "detach") else x
-    return np.asarray(x, dtype=dtype)
-
-
-def _unit(x: Array) -> Array:
-    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-12)
-
-
-def _mesh_normals(points: Array, faces: Array) -> tuple[Array, float]:
-    """Area-weighted vertex normals and the mean edge length."""
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    face_normals = np.cross(b - a, c - a)
-    normals = np.zeros_like(points)
-    for i in range(3):
-        np.add.at(normals, faces[:, i], face_normals)
-    return _unit(normals), float(np.linalg.norm(b - a, axis=-1).mean())
+def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array | None:
+    if value is None:
+        return None
+    if np.shape(value) != shape:
+        mend = "; flatten vectors with tangent_coordinates(log, normal)" if name == "log" else ""
+        raise ValueError(f"`{name}` must have shape {shape}, got {np.shape(value)}{mend}")
+    return to_numpy(value, float)

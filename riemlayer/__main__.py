@@ -1,0 +1,3 @@
+from riemlayer.cli import main
+
+main()

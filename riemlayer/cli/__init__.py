@@ -1,0 +1,5 @@
+"""The command line `riemlayer`; also `python -m riemlayer`."""
+
+from riemlayer.cli.app import main
+
+__all__ = ["main"]

@@ -1,0 +1,264 @@
+"""`riemlayer prepare`, `pretrain` and `tables`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from riemlayer.cli.command import Answer, command
+from riemlayer.cli.errors import UserError
+from riemlayer.cli.options import Weights
+from riemlayer.cli.output import whole_file
+
+PANEL = "Training and evaluation"
+Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.", metavar="DIR")]
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the subcommands of this file."""
+    command(app, "riemlayer prepare MESHES -o DIR --workers 2", PANEL, bar=False)(prepare)
+    command(
+        app,
+        "riemlayer pretrain DIR -o runs/mine --steps 20000",
+        PANEL,
+        bar=False,
+        context_settings={"ignore_unknown_options": True},
+    )(pretrain)
+    command(app, "riemlayer tables --fast -o tables", PANEL, bar=False)(tables)
+
+
+def prepare(
+    out: Folder,
+    meshes: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Mesh files, or folders of them.", show_default=False),
+    ] = None,
+    procedural: Annotated[
+        int | None,
+        typer.Option(help="Make this many procedural shapes instead.", min=1, show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the first procedural shape.", min=0)] = 0,
+    workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 2,
+) -> Answer:
+    """Training data: watertight, remeshed shapes with traced geodesics (Sec. 4.1).
+
+    A run that stopped is continued by the same call. Shapes that cannot be prepared are named, with
+    the reason, in failures.jsonl.
+    """
+    from riemlayer.data.prepare import find_meshes, prepare_meshes, prepare_procedural
+
+    if bool(meshes) == (procedural is not None):
+        raise UserError("meshes: give mesh files or folders, or --procedural N")
+    check_folder(out, *(meshes or ()))
+    if procedural is not None:
+        report = prepare_procedural(procedural, seed, out, workers)
+    else:
+        paths: list[Path] = []
+        for path in meshes or ():
+            if not path.exists():
+                raise UserError(f"{path} does not exist; check the name and the folder")
+            try:
+                paths += find_meshes(path) if path.is_dir() else [path]
+            except ValueError as error:
+                raise UserError(str(error)) from error
+        report = prepare_meshes(paths, out, workers)
+    facts = {"out": str(out), **vars(report)}
+    if report.failed and not (report.written or report.skipped):
+        raise UserError(
+            f"{out}/failures.jsonl: none of {report.failed} shapes could be prepared, the first: "
+            f"{first_failure(out)}"
+        )
+    text = f"{out}: {report.written} written, {report.skipped} already there"
+    failed = f", {report.failed} failed (reasons in failures.jsonl)" if report.failed else ""
+    return Answer(facts, text + failed)
+
+
+def first_failure(folder: Path) -> str:
+    """Reason of the first line of failures.jsonl."""
+    line = (folder / "failures.jsonl").read_text("utf-8").splitlines()[0]
+    return "{name}: {reason}".format(**json.loads(line))
+
+
+def check_folder(out: Path, *inputs: Path) -> None:
+    """Refuses a folder to write to that is a file, or one of the inputs."""
+    if out.exists() and not out.is_dir():
+        raise UserError(f"--out {out} is a file; name a folder")
+    if any(path.is_dir() and out.is_dir() and path.samefile(out) for path in inputs):
+        raise UserError(f"--out {out} is an input, which is never written to; name another")
+
+
+def pretrain(
+    samples: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="DIR...",
+            help="Folders by `riemlayer prepare`, then any flags of Lightning's command line.",
+        ),
+    ],
+    out: Folder,
+    steps: Annotated[
+        int | None, typer.Option(help="Training steps; those of the configuration.", min=1)
+    ] = None,
+    preset: Annotated[str, typer.Option(help="base, paper or tiny.")] = "base",
+    start_from: Annotated[
+        str | None, typer.Option(help="Packaged name or folder of weights to go on from.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML in the place of lightning_modules/configs/base.yaml.")
+    ] = None,
+) -> Answer:
+    """Trains a field on prepared shapes; a run that stopped is continued by the same call.
+
+    DIR/average holds the averaged weights, to be named by --weights or from_pretrained;
+    DIR/last.ckpt is what `riemlayer export` packs. Unknown flags go to Lightning, such as
+    --trainer.devices 2.
+    """
+    cut = next((i for i, x in enumerate(samples) if x.startswith("-")), len(samples))
+    folders, flags = samples[:cut], samples[cut:]
+    check_folder(out, *map(Path, folders))
+    cli = import_module("lightning_modules.cli")
+    settings = read_settings(config)
+    adapt(settings, folders, out, steps, preset, start_from)
+    import yaml
+
+    out.mkdir(parents=True, exist_ok=True)
+    with whole_file(out / "pretrain.yaml") as path:
+        path.write_text(yaml.safe_dump(settings, sort_keys=False), "utf-8")
+    resumed = (out / "last.ckpt").is_file()
+    go_on = ["--ckpt_path", str(out / "last.ckpt")] if resumed else []
+    with stdout_to_stderr():
+        cli.main(["fit", "--config", str(out / "pretrain.yaml"), *flags, *go_on])
+    weights = out / "average"
+    facts = {"out": str(out), "weights": str(weights), "checkpoint": str(out / "last.ckpt")}
+    return Answer(facts | {"resumed": resumed}, f"{weights}: weights; {out}/last.ckpt: checkpoint")
+
+
+def read_settings(config: Path | None) -> dict[str, Any]:
+    """A training configuration from a YAML file, the packaged one by default."""
+    import yaml
+
+    if config is None:
+        package = import_module("lightning_modules").__file__ or ""
+        config = Path(package).parent / "configs" / "base.yaml"
+    try:
+        settings = yaml.safe_load(config.read_text("utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UserError(f"--config {config}: must be YAML: {error}") from error
+    if not isinstance(settings, dict) or not {"model", "data", "trainer"} <= {*settings}:
+        raise UserError(f"--config {config}: must have the keys model, data and trainer")
+    return settings
+
+
+def adapt(
+    settings: dict[str, Any],
+    folders: list[str],
+    out: Path,
+    steps: int | None,
+    preset: str,
+    start_from: str | None,
+) -> None:
+    """Puts what the user said into a configuration."""
+    import torch
+
+    from riemlayer.config import FieldConfig
+
+    try:
+        FieldConfig.preset(preset)
+    except ValueError as error:
+        raise UserError(f"--preset: {error}") from error
+    trainer = settings["trainer"]
+    settings["model"] |= {"preset": preset}
+    if start_from is not None:
+        settings["model"]["start_from"] = start_from
+    settings["data"] |= {"roots": folders, "validation": held_out(folders)}
+    if steps is not None:
+        trainer["max_steps"] = steps
+    most = trainer.get("max_steps", -1)
+    if most > 0:
+        trainer["val_check_interval"] = min(trainer.get("val_check_interval", 500), most)
+    if not torch.cpu._is_avx512_bf16_supported() and not torch.cuda.is_available():
+        trainer["precision"] = "32-true"  # the processor would only emulate bfloat16
+    trainer["accelerator"] = "gpu" if torch.cuda.is_available() else "cpu"
+    trainer["default_root_dir"] = str(out)
+    for callback in trainer.get("callbacks") or ():
+        own = callback.setdefault("init_args", {})
+        if "dirpath" in own:
+            own |= {"dirpath": str(out)}
+            own["every_n_train_steps"] = min(own.get("every_n_train_steps", 250), max(most, 1))
+        if "export" in own:
+            own |= {"export": str(out / "average")}
+
+
+def held_out(folders: list[str]) -> float:
+    """The fraction of shapes to validate on: 3 %, or as much more as one shape takes."""
+    from riemlayer.data.dataset import sample_files, split
+
+    try:
+        files = sample_files(folders)
+    except FileNotFoundError as error:
+        raise UserError(f"{error}; make some with riemlayer prepare") from error
+    for fraction in (0.03, 0.06, 0.12, 0.25, 0.5):
+        train, held = split(files, fraction)
+        if train and held:
+            return fraction
+    raise UserError(f"{' '.join(folders)}: holds {len(files)} shapes, too few to hold one out")
+
+
+@contextlib.contextmanager
+def stdout_to_stderr() -> Iterator[None]:
+    """What libraries print is no answer of ours."""
+    with contextlib.redirect_stdout(sys.stderr):
+        yield
+
+
+def tables(
+    directory: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Prepared shapes GROUP/NAME.npz, or meshes; procedural ones if none.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Folder = Path("tables"),
+    fast: Annotated[bool, typer.Option("--fast", help="One shape a group, two sources.")] = False,
+    weights: Weights = "base",
+    groups: Annotated[str | None, typer.Option(help="Comma-separated; all.")] = None,
+    methods: Annotated[str | None, typer.Option(help="Comma-separated; all.")] = None,
+    limit: Annotated[int | None, typer.Option(help="Shapes a group; all.", min=1)] = None,
+    sources: Annotated[int | None, typer.Option(help="Sources a shape; all.", min=1)] = None,
+    figures: Annotated[bool, typer.Option(help="Draw figures too.")] = True,
+) -> Answer:
+    """The paper's tables, with every rival, on shapes that training never saw.
+
+    Writes tables.md, tables.json and figures; a run that was cut off goes on where it stopped.
+    """
+    program = import_module("riemlayer.tables.__main__")
+    check_folder(out, *([] if directory is None else [directory]))
+    arguments = [] if directory is None else [str(directory)]
+    given = {"groups": groups, "methods": methods, "limit": limit, "sources": sources}
+    for name, value in {"out": out, "weights": weights, **given}.items():
+        arguments += [] if value is None else [f"--{name}", str(value)]
+    arguments += ["--fast"] * fast + ["--no-figures"] * (not figures)
+    try:
+        with stdout_to_stderr():
+            program.main(arguments)
+    except SystemExit as error:
+        if isinstance(error.code, str):
+            raise UserError(error.code.removeprefix("riemlayer.tables: ")) from error
+        raise
+    written = json.loads((out / "tables.json").read_text("utf-8"))
+    rows = {name: method["groups"] for name, method in written["methods"].items()}
+    text = f"{out}/tables.md, tables.json: {len(rows)} methods on {len(groups_of(rows))} groups"
+    return Answer({"out": str(out), "methods": rows}, text)
+
+
+def groups_of(rows: dict[str, dict]) -> set[str]:
+    """Names of all groups in the rows of all methods."""
+    return {group for row in rows.values() for group in row}
