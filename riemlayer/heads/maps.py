@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from riemlayer.config import HeadConfig
 from riemlayer.geometry import LocalPlanes, lay_flat, walk
 from riemlayer.heads.siren import SirenDecoder
-from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork
+from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork, linear_with_site
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import Level, interpolate, interpolate_or_zero
 
@@ -63,6 +63,8 @@ class Prepared(NamedTuple):
     """(S, 1 + K, 3) what the answer would be without the decoder; None: not anchored."""
     told: tuple[Tensor, ...] = ()
     """(S, 1 + K, ...) what else the decoder is told."""
+    site: Tensor | None = None
+    """(S, ...) what it is told of the sources."""
 
     @property
     def first(self) -> int:
@@ -98,10 +100,15 @@ class MapHead(nn.Module):
         raise NotImplementedError
 
     def answer(
-        self, z: Tensor, x: Tensor, prior: Tensor | None = None, told: tuple[Tensor, ...] = ()
+        self,
+        z: Tensor,
+        x: Tensor,
+        prior: Tensor | None = None,
+        told: tuple[Tensor, ...] = (),
+        site: Tensor | None = None,
     ) -> MapOutput:
         """prior + |x| (f(x) - f(0)), or f(x) where not anchored, and validity, of all rows."""
-        vector, logit = self.decode(z, x, *told)
+        vector, logit = self.decode(z, x, told, z[:, :0] if site is None else site)
         if prior is not None:
             vector = prior + safe_norm(x) * (vector - vector[:, :1])
         return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
@@ -110,12 +117,14 @@ class MapHead(nn.Module):
         """Which of query and answer is the tangent vector."""
         raise NotImplementedError
 
-    def decode(self, z: Tensor, x: Tensor, *told: Tensor) -> tuple[Tensor, Tensor]:
+    def decode(
+        self, z: Tensor, x: Tensor, told: tuple[Tensor, ...], site: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """The decoder, modulated by `z` (S, C), at `x` (S, K, 3), with what else it is told.
 
         Returns its answer (S, K, 3) and the validity's logit (S, K).
         """
-        return self.decoder(self.planes(z), x / self.radius, told, self._logit)
+        return self.decoder(self.planes(z), x / self.radius, told, site, self._logit)
 
     def _logit(self, hidden: Tensor) -> Tensor:
         return self.valid(hidden.detach()).squeeze(-1)
@@ -131,22 +140,22 @@ class Gate(nn.Module):
 
     All priors agree with the map to first order at the source, so whatever it says is anchored.
 
-    Shapes: priors (S, K, 3) each, told (S, K, ...) -> (S, K, 3).
+    Shapes: priors (S, K, 3) each, told (S, K, ...), site (S, ...) -> (S, K, 3).
     """
 
     def __init__(self, told: int, others: int, hidden: int = 64) -> None:
         super().__init__()
+        self.first = nn.Linear(told, hidden)
         self.body = nn.Sequential(
-            nn.Linear(told, hidden),
-            nn.GELU(),
-            nn.Linear(hidden, hidden),
-            nn.GELU(),
-            nn.Linear(hidden, others),
+            nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, others)
         )
 
-    def forward(self, priors: list[Tensor], told: list[Tensor]) -> Tensor:
-        shares = self.body(torch.cat(told, -1)).sigmoid().to(priors[0].dtype)
+    def forward(self, priors: list[Tensor], told: list[Tensor], site: Tensor) -> Tensor:
         prior, *others = priors
+        rows = torch.cat(told, -1).flatten(0, 1)
+        source = torch.arange(len(site), device=site.device)[:, None].expand(prior.shape[:2])
+        hidden = linear_with_site(self.first, site, rows, source.flatten())
+        shares = self.body(hidden).sigmoid().to(prior.dtype).unflatten(0, prior.shape[:2])
         for other, share in zip(others, shares.split(1, -1), strict=True):
             prior = prior + share * (other - prior)
         return prior
@@ -174,17 +183,16 @@ class ExpHead(MapHead):
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
-        here = sites(field, p, normal, shape)[:, None].expand(-1, v.shape[1], -1)
-        length = safe_norm(v)
-        told, ends = [here, length / self.radius], []
+        site, length = sites(field, p, normal, shape), safe_norm(v)
+        told, ends = [length / self.radius], []
         for moved, turned, there in self.walks(field, p, v, shape, normal):
             away = moved - (ends[0] if ends else v)
             bend = safe_norm(away) / (length + 0.01 * self.radius)
             told += [away / self.radius, bend, turned / self.radius, there]
             ends.append(moved)
         told.append(read_narrow(field, p[:, None] + ends[0], shape))
-        prior = ends[0] if self.gate is None else self.gate(ends, told)
-        return Prepared(z, v, prior, tuple(told))
+        prior = ends[0] if self.gate is None else self.gate(ends, told, site)
+        return Prepared(z, v, prior, tuple(told), site)
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return x
@@ -225,9 +233,9 @@ class LogHead(MapHead):
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
-        here = sites(field, p, normal, shape)[:, None].expand(-1, x.shape[1], -1)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        return Prepared(z, x, flat, ((flat - x) / self.radius, here, *passed))
+        told = ((flat - x) / self.radius, *passed)
+        return Prepared(z, x, flat, told, sites(field, p, normal, shape))
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return vector

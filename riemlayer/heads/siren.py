@@ -29,12 +29,12 @@ class SirenDecoder(nn.Module):
         inputs: channels of the query and of what else the decoder is told.
         config: width and number of linear layers.
 
-    Shapes: z (S, C), x (S, K, 3), told (S, K, ...) -> (S, K, 3), and what `read` makes of the
-    hidden features, (..., width) -> (...), as (S, K).
+    Shapes: z (S, C), x (S, K, 3), told (S, K, ...), site (S, ...) -> (S, K, 3), and what
+    `read` makes of the hidden features, (..., width) -> (...), as (S, K).
 
     >>> decoder = SirenDecoder(16, inputs=5, config=HeadConfig(decoder="siren"))
-    >>> z, x, told = torch.rand(2, 16), torch.rand(2, 7, 3), (torch.rand(2, 7, 2),)
-    >>> [y.shape for y in decoder(z, x, told, lambda hidden: hidden.sum(-1))]
+    >>> z, x, told, site = torch.rand(2, 16), torch.rand(2, 7, 3), (), torch.rand(2, 2)
+    >>> [y.shape for y in decoder(z, x, told, site, lambda hidden: hidden.sum(-1))]
     [torch.Size([2, 7, 3]), torch.Size([2, 7])]
     """
 
@@ -52,12 +52,17 @@ class SirenDecoder(nn.Module):
             nn.init.normal_(self.out.weight, std=0.01)
 
     def forward(
-        self, z: Tensor, x: Tensor, told: tuple[Tensor, ...], read: Callable[[Tensor], Tensor]
+        self,
+        z: Tensor,
+        x: Tensor,
+        told: tuple[Tensor, ...],
+        site: Tensor,
+        read: Callable[[Tensor], Tensor],
     ) -> tuple[Tensor, Tensor]:
         with torch.autocast(x.device.type, enabled=False):
             film = self.film(z.to(x.dtype)).unflatten(-1, (2, len(self.layers), 1, -1))
             scales, shifts = film.movedim(0, 2).unbind()  # (layers, S, 1, width)
-            hidden = torch.cat((x, *told), -1)
+            hidden = torch.cat((x, *told, site[:, None].expand(*x.shape[:2], -1)), -1)
             for layer, scale, shift in zip(self.layers, scales, shifts, strict=True):
                 hidden = torch.sin(W0 * (1 + scale) * layer(hidden) + shift)  # (S, K, width)
             answer = self.out(hidden)

@@ -89,12 +89,15 @@ class TriplaneHypernetwork(nn.Module):
 class TriplaneDecoder(nn.Module):
     """Tiny MLP on the triplane's features at a query (Sec. 3.2, steps 2 and 3).
 
+    What it is told of a source is the same for all queries there: its part of the first layer is
+    computed once a source.
+
     Args:
         inputs: channels of the query and of what else the decoder is told.
         config: planes, width and layers.
 
-    Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...) -> (S, K, 3), and what `read`
-    makes of the hidden features, (N, width) -> (N,), as (S, K).
+    Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...), site (S, ...) -> (S, K, 3), and
+    what `read` makes of the hidden features, (N, width) -> (N,), as (S, K).
     """
 
     def __init__(self, inputs: int, config: HeadConfig) -> None:
@@ -109,15 +112,40 @@ class TriplaneDecoder(nn.Module):
             nn.init.normal_(self.out.weight, std=0.01)
 
     def forward(
-        self, planes: Tensor, x: Tensor, told: tuple[Tensor, ...], read: Callable[[Tensor], Tensor]
+        self,
+        planes: Tensor,
+        x: Tensor,
+        told: tuple[Tensor, ...],
+        site: Tensor,
+        read: Callable[[Tensor], Tensor],
     ) -> tuple[Tensor, Tensor]:
         features = sample_triplane(planes, x)
         inputs = (y.contiguous() for y in (features.to(x.dtype), x, *told))  # else cat is slow
         rows = torch.cat([*inputs], -1).flatten(0, 1)
+        source = torch.arange(len(x), device=x.device)[:, None].expand(x.shape[:2]).flatten()
+        first, *rest = self.body
         whole = torch.is_grad_enabled() or torch.compiler.is_compiling()
+        parts = (
+            [(rows, source)] if whole else zip(rows.split(ROWS), source.split(ROWS), strict=True)
+        )
         answers, readings = [], []
-        for part in (rows,) if whole else rows.split(ROWS):
-            hidden = self.body(part)
+        for part in parts:
+            hidden = linear_with_site(first, site, *part)  # pyright: ignore[reportArgumentType]
+            for layer in rest:
+                hidden = layer(hidden)
             answers.append(self.out(hidden).to(x.dtype))
             readings.append(read(hidden).to(x.dtype))
         return torch.cat(answers).view(x.shape), torch.cat(readings).view(x.shape[:2])
+
+
+def linear_with_site(layer: nn.Linear, site: Tensor, rows: Tensor, source: Tensor) -> Tensor:
+    """layer(rows || site[source]): (N, a), (S, b), (N,) -> (N, c), with one product a source.
+
+    >>> layer, rows, site = nn.Linear(5, 4), torch.rand(6, 3), torch.rand(2, 2)
+    >>> source = torch.tensor([0, 0, 0, 1, 1, 1])
+    >>> both = layer(torch.cat((rows, site[source]), -1))
+    >>> bool(torch.isclose(linear_with_site(layer, site, rows, source), both, atol=1e-6).all())
+    True
+    """
+    own, shared = layer.weight.split((rows.shape[-1], site.shape[-1]), 1)
+    return F.linear(rows, own) + F.linear(site, shared, layer.bias).index_select(0, source)

@@ -54,13 +54,13 @@ def test_anchored_heads_move_by_x_to_first_order(name, which):
 def test_the_gate_goes_from_the_first_prior_to_the_others():
     gate = Gate(told=5, others=1).double()
     priors = [torch.randn(2, 7, 3).double() for _ in range(2)]
-    told = [torch.randn(2, 7, 4).double(), torch.randn(2, 7, 1).double()]
-    share = ((gate(priors, told) - priors[0]) / (priors[1] - priors[0])).detach()
+    told, site = [torch.randn(2, 7, 2).double() for _ in range(2)], torch.randn(2, 1).double()
+    share = ((gate(priors, told, site) - priors[0]) / (priors[1] - priors[0])).detach()
     torch.testing.assert_close(share, share[..., :1].expand_as(share))
     assert (share > 0).all() and (share < 1).all() and share.std() > 0
     for bias, expected in ((-1e3, priors[0]), (1e3, priors[1])):
         torch.nn.init.constant_(gate.body[-1].bias, bias)
-        torch.testing.assert_close(gate(priors, told), expected)
+        torch.testing.assert_close(gate(priors, told, site), expected)
 
 
 def test_the_straight_and_untold_configuration_is_possible():

@@ -49,7 +49,7 @@ def test_values_are_those_of_the_formula():
     """Layer by layer, query by query; what is read comes from the last hidden features."""
     decoder = SirenDecoder(6, inputs=5, config=replace(HEADS["plain"], layers=4)).double()
     z, x, told = (torch.randn(*n).double() for n in [(2, 6), (2, 3, 3), (2, 3, 2)])
-    answer, read = decoder(z, x, (told,), lambda hidden: hidden.sum(-1))
+    answer, read = decoder(z, x, (told,), z[:, :0], lambda hidden: hidden.sum(-1))
     film = (z @ decoder.film.weight.T + decoder.film.bias).view(2, 2, 3, -1)
     for s in range(2):
         for k in range(3):
@@ -74,7 +74,9 @@ def test_it_starts_as_sitzmann_et_al_start_it():
     torch.nn.init.zeros_(decoder.film.weight)
     x = 2 * torch.rand(1, 500, 5) - 1
     with torch.no_grad():
-        decoder(torch.zeros(1, 6), x[..., :3], (x[..., 3:],), lambda hidden: hidden.sum(-1))
+        decoder(
+            torch.zeros(1, 6), x[..., :3], (x[..., 3:],), x[:, 0, :0], lambda hidden: hidden.sum(-1)
+        )
     assert all(0.7 < float(phase.std()) < 1.4 for phase in phases[1:])
 
 
@@ -130,7 +132,7 @@ def test_the_embedding_modulates():
     z, x = torch.randn(2, 6).double(), torch.randn(1, 9, 3).double().expand(2, -1, -1)
 
     def apart() -> float:
-        one, other = decoder(z, x, (), lambda hidden: hidden.sum(-1))[0].detach()
+        one, other = decoder(z, x, (), z[:, :0], lambda hidden: hidden.sum(-1))[0].detach()
         return float((one - other).abs().max())
 
     assert apart() > 1e-3
@@ -146,7 +148,7 @@ def test_it_learns_a_surface_for_each_embedding():
     optimiser = torch.optim.AdamW(decoder.parameters(), 1e-3)
     errors = []
     for _ in range(200):
-        error = (decoder(z, x, (), lambda hidden: hidden.sum(-1))[0] - bent).abs().mean()
+        error = (decoder(z, x, (), z[:, :0], lambda hidden: hidden.sum(-1))[0] - bent).abs().mean()
         optimiser.zero_grad()
         error.backward()
         optimiser.step()
@@ -158,7 +160,7 @@ def test_gradcheck_backward_and_forward():
     decoder = SirenDecoder(4, inputs=3, config=replace(HEADS["plain"], hidden=6)).double()
     inputs = torch.randn(2, 4).double(), torch.randn(2, 3, 3).double()
     assert gradcheck(
-        lambda z, x: decoder(z, x, (), lambda hidden: hidden.sum(-1)),
+        lambda z, x: decoder(z, x, (), z[:, :0], lambda hidden: hidden.sum(-1)),
         tuple(y.requires_grad_() for y in inputs),
         check_forward_ad=True,
     )
@@ -168,9 +170,9 @@ def test_half_precision_is_not_for_phases():
     """Under autocast the answers are those of float32, to the bit."""
     decoder = SirenDecoder(6, inputs=3, config=HEADS["plain"])
     z, x = torch.randn(2, 6), torch.randn(2, 9, 3)
-    expected, _ = decoder(z, x, (), lambda hidden: hidden.sum(-1))
+    expected, _ = decoder(z, x, (), z[:, :0], lambda hidden: hidden.sum(-1))
     with torch.autocast("cpu", torch.bfloat16):
-        answer, _ = decoder(z, x, (), lambda hidden: hidden.sum(-1))
+        answer, _ = decoder(z, x, (), z[:, :0], lambda hidden: hidden.sum(-1))
     assert answer.dtype == torch.float32 and torch.equal(answer, expected)
 
 
