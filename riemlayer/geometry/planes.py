@@ -72,15 +72,14 @@ class PlaneLevel(NamedTuple):
         Roots of the eigenvalues at the nearest node, and their mean over that node's neighbours:
         how thick, thin or sparse the cloud is at this scale. 0 where there is no node.
         """
-        spread = self.eigenvalues.detach().clamp_min(0).sqrt() / self.level.cell_size
-        spread = torch.cat((spread, torch.ones_like(spread[:, :1])), -1)
-        spread = torch.cat((spread, spread.new_zeros(1, 4)))
-        node = self.nearest_of_eight(x, batch)
-        index = torch.cat(
-            (self.level.neighbours, self.level.neighbours.new_full((1, 27), len(self.level)))
-        )
-        around = spread[index[node]].sum(-2)
-        return torch.cat((spread[node, :3], around[:, :3] / around[:, 3:].clamp_min(1)), -1)
+        n, node = len(self.level), self.nearest_of_eight(x, batch)
+        around = self.level.neighbours[node.clamp_max(n - 1)]  # (Q, 27)
+        index = torch.cat((node[:, None], around), -1)
+        exists = ((index < n) & (node < n)[:, None])[..., None]
+        variance = self.eigenvalues.detach()[index.clamp_max(n - 1)].clamp_min(0)
+        spread = variance.sqrt() * exists / self.level.cell_size  # (Q, 28, 3)
+        mean = spread[:, 1:].sum(1) / exists[:, 1:].sum(1).clamp_min(1)
+        return torch.cat((spread[:, 0], mean), -1)
 
 
 class LocalPlanes(NamedTuple):
