@@ -86,12 +86,12 @@ Content = tuple[dict, dict[str, str]]
 """Tensors and metadata of one sample."""
 
 
-def procedural_sample(seed: int) -> Content:
-    """Tensors and metadata of one procedural shape (ours)."""
+def procedural_sample(seed: int, kind: str | None = None) -> Content:
+    """Tensors and metadata of one procedural shape (ours), of a drawn kind where none is given."""
     from riemlayer.data.meshes import SOUP_SIZE, prepare_mesh, sample_surface
     from riemlayer.data.procedural import random_shape
 
-    shape, rng = random_shape(seed), np.random.default_rng(seed)
+    shape, rng = random_shape(seed, kind), np.random.default_rng(seed)
     mesh = prepare_mesh(shape.vertices, shape.faces, rng)
     soup = mesh.soup
     if shape.soup is not None and soup is None:

@@ -1,6 +1,6 @@
 """The paper's tables by one command: every system on shapes that training never saw.
 
-    python -m riemlayer.tables                    procedural shapes, made on the spot
+    python -m riemlayer.tables                    procedural shapes made on the spot, and thin ones
     python -m riemlayer.tables DIR                prepared shapes <group>/<name>.npz, or meshes
     python -m riemlayer.tables DIR --fast         a first look in a minute
 
@@ -21,7 +21,7 @@ from riemlayer.tables import render
 from riemlayer.tables.evaluate import Shape
 from riemlayer.tables.machine import machine
 from riemlayer.tables.run import VERSION, Results, Rows, find_shapes, run, write_json
-from riemlayer.tables.shapes import Preparation, prepare_shapes, procedural_shapes
+from riemlayer.tables.shapes import THIN, Preparation, prepare_shapes, procedural_shapes
 from riemlayer.tables.sweeps import POINTS
 from riemlayer.tables.systems import systems
 
@@ -116,7 +116,10 @@ def draw(
 def _prepared(directory: Path | None, out: Path, fast: bool) -> Path:
     """A folder of prepared shapes: the given one, or `out` filled from the given meshes."""
     if directory is None:
-        _tell(procedural_shapes(2 if fast else 24, out, workers=1 if fast else 2))
+        workers = 1 if fast else 2
+        _tell(procedural_shapes(2 if fast else 24, out, workers=workers))
+        few = 1 if fast else len(THIN)
+        _tell(procedural_shapes(few, out, workers=workers, kinds=THIN, group="thin"))
         return out
     if not directory.is_dir():
         raise ValueError(

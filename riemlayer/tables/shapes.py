@@ -26,6 +26,9 @@ from riemlayer.tables.truth import INPUTS, cloud, shape_arrays
 
 FIRST_SEED = 1_100_000
 """Of the procedural shapes; training draws seeds below 1,000,000."""
+THIN = ("hand", "humanoid", "sheet", "garment", "spectacles", "cutlery", "insect", "tray")
+"""Kinds with what is hardest to tell apart from points (appendix H): fingers, wrists, sheets whose
+two sides are closer than a cell."""
 Jobs = dict[tuple[str, str], tuple[str, Callable[[], Content]]]
 """By group and name: the name of the record, and what computes it."""
 
@@ -89,23 +92,28 @@ def procedural_shapes(
     sources: int = 10,
     inputs: Sequence[str] = ("remeshed",),
     workers: int = 1,
+    kinds: Sequence[str] = (),
+    group: str = "procedural",
 ) -> Preparation:
-    """Makes n procedural shapes for evaluation, `out/procedural/<kind>-<seed>.npz` (ours).
+    """Makes n procedural shapes for evaluation, `out/<group>/<kind>-<seed>.npz` (ours).
 
     Args:
         n: number of shapes.
         out, sources, inputs, workers: as for `prepare_shapes`.
-        seed: of the first shape; each shape depends on its own seed alone.
+        seed: of the first shape; each shape depends on its own seed and kind alone.
+        kinds: of the shapes, in turn, such as `THIN`; drawn by the seeds where there are none.
+        group: of the shapes.
 
     Raises:
         ValueError: `seed` is below `FIRST_SEED`, and training may have seen such shapes.
     """
     if seed < FIRST_SEED:
         raise ValueError(f"seed must be at least {FIRST_SEED} (training uses others), got {seed}")
-    jobs: Jobs = {
-        ("procedural", str(s)): (f"procedural--{s}", partial(_procedural_record, s, sources))
-        for s in range(seed, seed + n)
-    }
+    jobs: Jobs = {}
+    for i in range(n):
+        kind = kinds[i % len(kinds)] if kinds else None
+        job = partial(_procedural_record, seed + i, sources, kind, group)
+        jobs[group, str(seed + i)] = f"{group}--{seed + i}", job
     return _prepare(jobs, Path(out), f"{sources}-sources", inputs, workers)
 
 
@@ -142,13 +150,13 @@ def _mesh_record(path: Path, label: tuple[str, str], sources: int, seed: int) ->
     return arrays, {"group": label[0], "shape": label[1], "seed": str(seed)}
 
 
-def _procedural_record(seed: int, sources: int) -> Content:
-    sample, metadata = procedural_sample(seed)
+def _procedural_record(seed: int, sources: int, kind: str | None, group: str) -> Content:
+    sample, metadata = procedural_sample(seed, kind)
     arrays = shape_arrays(sample["vertices"], sample["faces"], sources, seed)
     if "soup" in sample:
         arrays["soup"] = sample["soup"]
     name = f"{metadata['kind']}-{seed}"
-    return arrays, {"group": "procedural", "shape": name, "seed": str(seed)}
+    return arrays, {"group": group, "shape": name, "seed": str(seed)}
 
 
 def _prepare(
@@ -168,13 +176,19 @@ def _prepare(
     labels = {record: "/".join(label) for label, (record, _) in jobs.items()}
     lines = failed.read_text("utf-8").splitlines() if failed.exists() else []
     failures = {labels[x["name"]]: x["reason"] for x in map(json.loads, lines)}
-    write_json(out / "failures.json", failures)
+    write_json(out / "failures.json", _others(out / "failures.json", labels) | failures)
     written = skipped = 0
     for record in labels:
         path = records / f"{record}.safetensors"
         for new in _write_inputs(path, out, inputs) if path.exists() else ():
             written, skipped = written + new, skipped + (not new)
     return Preparation(written, skipped, failures)
+
+
+def _others(path: Path, labels: Mapping[str, str]) -> dict[str, str]:
+    """Failures in `path` of shapes that are not among the values of `labels`."""
+    kept = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    return {name: reason for name, reason in kept.items() if name not in set(labels.values())}
 
 
 def _write_inputs(record: Path, out: Path, inputs: Sequence[str]) -> Iterator[bool]:

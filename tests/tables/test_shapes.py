@@ -12,6 +12,7 @@ from references import flat_grid
 from riemlayer.data.closed_form import Sphere
 from riemlayer.tables import shapes, truth
 from riemlayer.tables.evaluate import Shape
+from riemlayer.tables.run import write_json
 from riemlayer.tables.shapes import Preparation, prepare_shapes, procedural_shapes
 from riemlayer.tables.truth import cloud, draw_queries, ground_truth, shape_arrays
 
@@ -257,6 +258,15 @@ def test_a_file_of_another_mesh_or_of_other_sources_is_refused(prepared, meshes,
 
 
 @pytest.mark.slow
+def test_a_group_of_given_kinds_leaves_other_failures_alone(tmp_path):
+    write_json(tmp_path / "failures.json", {"meshes/torn": "no faces", "thin/1100000": "old"})
+    report = procedural_shapes(2, tmp_path, sources=1, kinds=["tray", "cutlery"], group="thin")
+    assert report.written == 2 and not report.failures
+    names = sorted(path.stem for path in (tmp_path / "thin").glob("*.npz"))
+    assert names == ["cutlery-1100001", "tray-1100000"]
+    assert json.loads((tmp_path / "failures.json").read_text()) == {"meshes/torn": "no faces"}
+
+
 def test_procedural_shapes_are_seeds_that_training_never_draws(tmp_path):
     with pytest.raises(ValueError, match=r"seed must be at least 1100000 .* got 1000"):
         procedural_shapes(1, tmp_path, seed=1000)
