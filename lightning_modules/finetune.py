@@ -59,6 +59,7 @@ class ExpLogFineTuning(ExpLogPretraining):
         if self_supervised and not (losses.geo or losses.cyc):
             raise ValueError("losses must have geo or cyc above 0 where there is no ground truth")
         super().__init__("base", losses, learning_rate, weight_decay, warmup, start_from)
+        self.hparams["config"] = self.field.config.to_dict()  # for the export of checkpoints
         self.backbone_rate, self.unfreeze_at = backbone_rate, unfreeze_at
         self.keep, self.self_supervised = keep, self_supervised
         self.sources, self.vectors = sources, vectors

@@ -7,6 +7,7 @@ import torch
 from references import lumpy
 
 from lightning_modules import CloudDataModule, ExpLogDataModule, ExpLogFineTuning
+from lightning_modules.export import export
 from riemlayer import ExpLogField
 from riemlayer.losses import LossWeights, self_supervised_losses
 
@@ -97,6 +98,19 @@ def cycle(field: ExpLogField) -> float:
     with torch.no_grad():
         surface = field.encode_in_cube(points / points.abs().max(), torch.zeros(500).long())
         return float(self_supervised_losses(surface, LossWeights(geo=0, cyc=1))["cycle"])
+
+
+def test_a_checkpoint_becomes_weights_again(folder, start, tmp_path):
+    trainer = L.Trainer(accelerator="cpu", logger=False, max_steps=2, enable_progress_bar=False)
+    model = ExpLogFineTuning(start, unfreeze_at=0, warmup=0)
+    trainer.fit(model, datamodule=samples(folder))
+    trainer.save_checkpoint(tmp_path / "tuned.ckpt")
+    export(tmp_path / "tuned.ckpt", tmp_path / "model.safetensors", {})
+    (tmp_path / "model.json").rename(tmp_path / "config.json")
+    tuned = ExpLogField.from_pretrained(tmp_path)
+    assert tuned.config == model.field.config
+    for name, x in tuned.state_dict().items():
+        torch.testing.assert_close(x, model.field.state_dict()[name], rtol=1e-3, atol=1e-5)
 
 
 def test_what_makes_no_sense_is_refused(tmp_path, start):
