@@ -6,14 +6,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from riemlayer.data.depth import DepthCloud, from_depth
     from riemlayer.data.implicit import Crossings, LevelSamples, sample_occupancy, sample_sdf
     from riemlayer.data.readers import RawShape, read_shape
     from riemlayer.data.sampling import sample_poisson
 
 __all__ = [
     "Crossings",
+    "DepthCloud",
     "LevelSamples",
     "RawShape",
+    "from_depth",
     "read_shape",
     "sample_occupancy",
     "sample_poisson",
@@ -21,6 +24,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    **dict.fromkeys(("DepthCloud", "from_depth"), "depth"),
     **dict.fromkeys(("Crossings", "LevelSamples", "sample_occupancy", "sample_sdf"), "implicit"),
     **dict.fromkeys(("RawShape", "read_shape"), "readers"),
     "sample_poisson": "sampling",
