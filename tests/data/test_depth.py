@@ -60,7 +60,7 @@ def test_four_numbers_are_the_same_camera():
 
 def test_holes_are_left_out():
     depth = torch.full((6, 8), 2.0)
-    depth[2, 3], depth[0, 0], depth[5, 7], depth[4, 2] = 0, math.nan, math.inf, -1
+    depth[2, 3], depth[0, 0], depth[5, 7], depth[3, 2] = 0, math.nan, math.inf, -1
     points, normals, pixels = from_depth(depth, K)
     assert len(points) == 44 and points.isfinite().all()
     assert (normals - torch.tensor([0.0, 0, -1])).abs().max() < 1e-6
