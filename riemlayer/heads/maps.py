@@ -46,9 +46,31 @@ class MapOutput(NamedTuple):
     """(S, K) logit: the query lies before the cut locus."""
 
 
+class Prepared(NamedTuple):
+    """What a head looked up in the field: all that its decoder needs to answer K queries a source.
+
+    Of an anchored head the first of the 1 + K rows is the source itself, x = 0.
+    """
+
+    z: Tensor
+    """(S, C) embeddings at the sources."""
+    x: Tensor
+    """(S, 1 + K, 3): v for Exp, q - p for Log; (S, K, 3) where the head is not anchored."""
+    prior: Tensor | None = None
+    """(S, 1 + K, 3) what the answer would be without learning; None: not anchored."""
+    told: tuple[Tensor, ...] = ()
+    """(S, 1 + K, ...) what else the decoder is told."""
+
+    @property
+    def first(self) -> int:
+        """Row of the first query."""
+        return 0 if self.prior is None else 1
+
+
 class MapHead(nn.Module):
     """What both branches share: modulated decoder, and a validity read from its hidden features.
 
+    `prepare` looks up in the field, octree and planes; `answer` is a function of what it found.
     Validity does not disturb the maps: it sees the hidden features without a gradient.
     """
 
@@ -61,6 +83,29 @@ class MapHead(nn.Module):
             self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
             self.decoder = TriplaneDecoder(3 + told, config)
         self.valid = nn.Linear(config.hidden, 1)
+
+    def forward(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> MapOutput:
+        """Answer to K queries (S, K, 3), v for Exp and q for Log, at each of the sources (S, 3)."""
+        prepared = self.prepare(field, p, x, shape)
+        vector, validity = self.answer(*prepared)
+        return MapOutput(vector[:, prepared.first :], validity[:, prepared.first :])
+
+    def prepare(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> Prepared:
+        """What `answer` takes."""
+        raise NotImplementedError
+
+    def answer(
+        self, z: Tensor, x: Tensor, prior: Tensor | None = None, told: tuple[Tensor, ...] = ()
+    ) -> MapOutput:
+        """prior + |x| (f(x) - f(0)), or f(x) where not anchored, and validity, of all rows."""
+        vector, logit = self.decode(z, x, *told)
+        if prior is not None:
+            vector = prior + safe_norm(x) * (vector - vector[:, :1])
+        return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
+
+    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
+        """Which of query and answer is the tangent vector."""
+        raise NotImplementedError
 
     def decode(self, z: Tensor, x: Tensor, *told: Tensor) -> tuple[Tensor, Tensor]:
         """The decoder, modulated by `z` (S, C), at `x` (S, K, 3), with what else it is told.
@@ -90,18 +135,18 @@ class ExpHead(MapHead):
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         super().__init__(embedding, 18 + config.narrow if config.anchored else 0, radius, config)
 
-    def forward(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> MapOutput:
+    def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         if not self.config.anchored:
-            vector, logit = self.decode(z, v)
-            return MapOutput(vector, self.validity(logit, v))
+            return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
         moved, turned, normals = self.prior(field, p, v, shape)
         landed = read_narrow(field, p[:, None] + moved, shape)
         told = ((moved - v) / self.radius, turned / self.radius, normals, landed)
-        f, logit = self.decode(z, v, *told)
-        vector = moved + safe_norm(v) * (f - f[:, :1])
-        return MapOutput(vector[:, 1:], self.validity(logit[:, 1:], v[:, 1:]))
+        return Prepared(z, v, moved, told)
+
+    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
+        return x
 
     def prior(
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor
@@ -131,20 +176,20 @@ class LogHead(MapHead):
         told = 9 + 2 * config.narrow if config.anchored else 0
         super().__init__(embedding, told, radius, config)
 
-    def forward(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> MapOutput:
+    def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         x = q - p[:, None]
         if not self.config.anchored:
-            vector, logit = self.decode(z, x)
-            return MapOutput(vector, self.validity(logit, vector))
+            return Prepared(z, x)
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
         here = outer6(normal)[:, None].expand(-1, x.shape[1], -1)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        h, logit = self.decode(z, x, (flat - x) / self.radius, here, *passed)
-        vector = (flat + safe_norm(x) * (h - h[:, :1]))[:, 1:]
-        return MapOutput(vector, self.validity(logit[:, 1:], vector))
+        return Prepared(z, x, flat, ((flat - x) / self.radius, here, *passed))
+
+    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
+        return vector
 
 
 def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:

@@ -18,8 +18,8 @@ PLANES = ((0, 1), (0, 2), (1, 2))
 FEW = 16
 """Sources for which casting the hypernetwork's weights would take longer than the product."""
 ROWS = 3072
-"""Queries whose hidden features are made at once where no gradient is asked for: what they take
-stays in a core's cache."""
+"""Queries whose hidden features are made at once where no gradient is asked for and nothing is
+traced: what they take stays in a core's cache."""
 
 
 def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
@@ -77,7 +77,7 @@ class TriplaneHypernetwork(nn.Module):
         self.linear = nn.Linear(embedding, 3 * resolution**2 * channels)
 
     def forward(self, z: Tensor) -> Tensor:
-        half = len(z) > FEW and torch.is_autocast_enabled(z.device.type)
+        half = torch.is_autocast_enabled(z.device.type) and len(z) > FEW
         with torch.autocast(z.device.type, enabled=half):
             return self.linear(z).unflatten(-1, self.shape)
 
@@ -114,9 +114,9 @@ class TriplaneDecoder(nn.Module):
         features = sample_triplane(planes, x)
         inputs = (y.contiguous() for y in (features.to(x.dtype), x, *told))  # else cat is slow
         rows = torch.cat([*inputs], -1).flatten(0, 1)
-        size = max(1, len(rows)) if torch.is_grad_enabled() else ROWS
+        whole = torch.is_grad_enabled() or torch.compiler.is_compiling()
         answers, readings = [], []
-        for part in rows.split(size):
+        for part in (rows,) if whole else rows.split(ROWS):
             hidden = self.body(part)
             answers.append(self.out(hidden).to(x.dtype))
             readings.append(read(hidden).to(x.dtype))
