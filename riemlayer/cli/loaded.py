@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 CHUNK = 1 << 14
+FARTHEST = 20.0
+"""Coordinates farther out, in the cube, are likely in another unit than the file."""
 
 
 class Place(NamedTuple):
@@ -140,7 +142,7 @@ class Loaded:
             raise UserError("source: give one of --source INDEX and --at X,Y,Z")
         if where.source is not None:
             return self.at_index(where.source, "--source")
-        return self.at_point(coordinates(where.at or "", "--at"))
+        return self.at_point(coordinates(where.at or "", "--at"), "--at")
 
     def at_index(self, index: int, option: str) -> Place:
         """The vertex or point of this index."""
@@ -152,10 +154,16 @@ class Loaded:
             )
         return Place(self.points[index], index, 0.0)
 
-    def at_point(self, x: Array) -> Place:
+    def at_point(self, x: Array, option: str) -> Place:
         """The place on the shape that is nearest to x (3,)."""
-        unit = (self.points - self.centre) / self.scale
-        near = nearest_on_shape((x - self.centre) / self.scale, unit, self.faces)
+        with np.errstate(over="ignore"):
+            asked = (x - self.centre) / self.scale
+        if not np.abs(asked).max() <= FARTHEST:
+            raise UserError(
+                f"{option} must lie near the shape, which is {2 * self.scale:.4g} long, got "
+                f"{','.join(f'{value:.6g}' for value in x)}; is it in the file's unit?"
+            )
+        near = nearest_on_shape(asked, (self.points - self.centre) / self.scale, self.faces)
         p = near * self.scale + self.centre
         return Place(p, None, float(np.linalg.norm(p - x)))
 

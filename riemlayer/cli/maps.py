@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 PANEL = "Maps of a shape"
 RAYS, RINGS = 24, 8
 """Directions and lengths of the fan that `exp` shoots where no vectors are given."""
+LONGEST = 100.0
+"""Longer vectors, in trained radii, are refused."""
 MOST_PATHS = 200
 """Geodesics drawn."""
 SAMPLES = 25
@@ -144,6 +146,7 @@ def exp(
     if x is None:
         x = fan(loaded.radius)
     v = x @ axes.T if x.shape[1] == 2 else x
+    check_length(v, loaded.radius, vectors)
     end, uv = loaded.exp(place.point, v), v @ axes
     beyond = int((np.linalg.norm(v, axis=1) > loaded.radius * (1 + 1e-6)).sum())
     arrays = {
@@ -176,6 +179,16 @@ def exp(
     if beyond:
         text += f"; {beyond:,} longer than the trained radius {loaded.radius:.4g}: less reliable"
     return Answer(facts, text)
+
+
+def check_length(v: Array, radius: float, path: Path | None) -> None:
+    """Refuses vectors (K, 3) that are likely in another unit than the shape."""
+    longest = np.abs(v).max()
+    if longest > LONGEST * radius:
+        raise UserError(
+            f"{path}: must hold vectors up to {LONGEST:g} trained radii ({radius:.4g}), got one of "
+            f"{longest:.4g}; are they in the file's unit?"
+        )
 
 
 def exp_paths(loaded: Loaded, p: Array, v: Array) -> Array:
@@ -221,7 +234,7 @@ def geodesic(
     loaded = encoding.load()
     place = loaded.place(where)
     places = [loaded.at_index(i, "--target") for i in target or ()]
-    places += [loaded.at_point(x) for x in ends]
+    places += [loaded.at_point(x, "--to") for x in ends]
     q = np.stack([x.point for x in places])
     paths, length, validity = geodesics(loaded, place.point, q, samples)
     k = len(q)

@@ -97,6 +97,8 @@ def asked(run, shapes, tiny):
         (["--at", "1,2"], "--at"),
         (["--at", "1,2,x"], "--at"),
         (["--at", "1,2,nan"], "--at"),
+        (["--at", "1000,0,0"], "unit"),
+        (["--at", "1e300,0,0"], "unit"),
         (["--source", "0", "--device", "toaster"], "--device"),
         (["--source", "0", "--points", "3"], "--points"),
         (["--source", "0", "--sauce", "3"], "--sauce"),
@@ -170,6 +172,7 @@ VECTORS = {
     "nan.npy": lambda path: np.save(path, np.array([[0, np.nan, 0]])),
     "words.npy": lambda path: np.save(path, np.array([["a", "b", "c"]])),
     "none.npy": lambda path: np.save(path, np.zeros((0, 3))),
+    "long.npy": lambda path: np.save(path, np.full((5, 3), 1e300)),
     "wide.npy": lambda path: np.save(path, np.zeros((5, 4))),
 }
 
