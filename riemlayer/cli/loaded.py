@@ -65,6 +65,8 @@ class Map(NamedTuple):
     """(..., 3)"""
     validity: Array
     """(...) probability that the query lies before the cut locus."""
+    valid: NDArray[np.bool_]
+    """(...) the answer is to be believed."""
 
 
 @dataclass(frozen=True)
@@ -110,22 +112,29 @@ class Loaded:
         return np.maximum(np.linalg.norm(log.value, axis=1), np.linalg.norm(q - p, axis=1))
 
     def log(self, p: Array, q: Array) -> Map:
-        """Log_p(q) of one p (3,) and many q (N, 3)."""
-        p_, parts = self.inward(p), self.inward(q).split(CHUNK)
-        answers = [self.surface.decode_log(p_, x) for x in track(parts, "Log")]
-        return self._map(answers, 0.0)
+        """Log_p(q) of one p (3,) and many q (N, 3); valid as `EncodedSurface.valid_mask` says."""
+        p_, parts = self.inward(p), []
+        for x in track(self.inward(q).split(CHUNK), "Log"):
+            v, logit = self.surface.decode_log(p_, x)
+            parts.append((v, logit, self.surface.comes_back(p_, x, v)))
+        answer = self._map(parts, 0.0)
+        return answer._replace(valid=answer.valid & bool(self.surface.in_support(p_)))
 
     def exp(self, p: Array, v: Array) -> Map:
-        """Exp_p(v) of one p (3,) and many v (N, 3)."""
-        p_, parts = self.inward(p), self.tensor(v / self.scale).split(CHUNK)
-        answers = [self.surface.decode_exp(p_, x) for x in track(parts, "Exp")]
-        return self._map(answers, self.centre)
+        """Exp_p(v) of one p (3,) and many v (N, 3); valid where the validity is above one half."""
+        p_, parts = self.inward(p), []
+        for x in track(self.tensor(v / self.scale).split(CHUNK), "Exp"):
+            q, logit = self.surface.decode_exp(p_, x)
+            parts.append((q, logit, logit.isfinite()))
+        return self._map(parts, self.centre)
 
-    def _map(self, answers: list, shift: Array | float) -> Map:
+    def _map(self, parts: list, shift: Array | float) -> Map:
         import torch
 
-        value, logit = (torch.cat(x) for x in zip(*answers, strict=True))
-        return Map(numbers(value) * self.scale + shift, numbers(logit.sigmoid()))
+        value, logit, trusted = (torch.cat(x) for x in zip(*parts, strict=True))
+        validity = numbers(logit.sigmoid())
+        valid = (validity > 0.5) & trusted.cpu().numpy()
+        return Map(numbers(value) * self.scale + shift, validity, valid)
 
     def asked(self) -> torch.Tensor:
         """All points in the cube; of a mesh its samples follow, for few vertices carry no chart."""

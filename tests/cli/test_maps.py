@@ -27,6 +27,7 @@ def test_log_is_the_api_s(well, shapes, tiny, tmp_path, points, surface, name, a
     np.testing.assert_allclose(written["uv"], v @ frame[:, :2], **CLOSE)
     p, q = torch.from_numpy(points[7]).float(), torch.from_numpy(points).float()
     np.testing.assert_allclose(written["distance"], surface.dist(p, q), **CLOSE)
+    assert np.array_equal(written["valid"], surface.valid_mask(p, q))
     assert np.array_equal(written["source"], points[7])
     assert written["radius"] == pytest.approx(float(surface.radius), rel=1e-6)
     assert facts["source"] == {"index": 7, "point": points[7].tolist(), "snapped_by": 0.0}
@@ -76,6 +77,7 @@ def test_geodesics_are_the_api_s(well, shapes, tiny, tmp_path, points, surface, 
     wanted = surface.geodesic(p, q[:, None], torch.linspace(0, 1, 5))
     np.testing.assert_allclose(written["paths"], wanted, **CLOSE)
     np.testing.assert_allclose(written["length"], surface.dist(p, q), **CLOSE)
+    assert np.array_equal(written["valid"], surface.valid_mask(p, q))
     assert [x["index"] for x in facts["targets"]] == [50, None]
     assert facts["targets"][1]["snapped_by"] == pytest.approx(1e-9 * 3**0.5, rel=1e-3)
 
@@ -133,7 +135,7 @@ def test_a_mesh_keeps_its_vertices_and_faces(well, shapes, tiny, tmp_path, ball,
         np.testing.assert_allclose(mesh.vertices, log["points"], rtol=1e-7)
         assert np.array_equal(mesh.faces, ball.faces)
         np.testing.assert_allclose(mesh.visual.uv, texture, atol=1e-5)
-    reached = (log["validity"] > 0.5) & (log["distance"] <= log["radius"])
+    reached = log["valid"] & (log["distance"] <= log["radius"])
     uv = np.where(reached[:, None], log["uv"], 1e9)
     colours = checkerboard(uv, log["radius"] / 5, log["radius"])
     raw = ply.metadata["_ply_raw"]["vertex"]["data"]
