@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from typing import Annotated
 
 import typer
@@ -41,4 +43,5 @@ app.callback(invoke_without_command=True, help=unwrapped(root))(root)
 
 def main() -> None:
     """The console script."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # unwinds, tidies up
     app()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from riemlayer.cli.pictures import Scene
 
-FINE = 0.015
+FINE = 0.03
 """Edges of a drawn mesh are halved down to this, in the cube: its vertices carry the colours."""
 
 

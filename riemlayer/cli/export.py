@@ -15,6 +15,9 @@ from riemlayer.cli.errors import UserError
 from riemlayer.cli.output import whole_folder
 from riemlayer.cli.training import PANEL
 
+NOT_OURS = (pickle.UnpicklingError, EOFError, RuntimeError, ValueError, LookupError, AttributeError)
+"""What reading a file that is no checkpoint of ours raises."""
+
 
 def register(app: typer.Typer) -> None:
     """Adds the subcommands of this file."""
@@ -45,7 +48,7 @@ def export(
     with whole_folder(out) as folder:
         try:
             card = Path(write(checkpoint, folder / WEIGHTS, more, samples or ()))
-        except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError, KeyError) as error:
+        except NOT_OURS as error:
             reason = " ".join(str(error).split())[:200]
             raise UserError(f"{checkpoint}: must be a checkpoint of pretrain: {reason}") from error
         card.rename(folder / CARD)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 CHUNK = 1 << 14
+FARTHEST = 20.0
+"""Coordinates farther out, in the cube, are likely in another unit than the file."""
 
 
 class Place(NamedTuple):
@@ -63,6 +65,8 @@ class Map(NamedTuple):
     """(..., 3)"""
     validity: Array
     """(...) probability that the query lies before the cut locus."""
+    valid: NDArray[np.bool_]
+    """(...) the answer is to be believed."""
 
 
 @dataclass(frozen=True)
@@ -108,22 +112,29 @@ class Loaded:
         return np.maximum(np.linalg.norm(log.value, axis=1), np.linalg.norm(q - p, axis=1))
 
     def log(self, p: Array, q: Array) -> Map:
-        """Log_p(q) of one p (3,) and many q (N, 3)."""
-        p_, parts = self.inward(p), self.inward(q).split(CHUNK)
-        answers = [self.surface.decode_log(p_, x) for x in track(parts, "Log")]
-        return self._map(answers, 0.0)
+        """Log_p(q) of one p (3,) and many q (N, 3); valid as `EncodedSurface.valid_mask` says."""
+        p_, parts = self.inward(p), []
+        for x in track(self.inward(q).split(CHUNK), "Log"):
+            v, logit = self.surface.decode_log(p_, x)
+            parts.append((v, logit, self.surface.comes_back(p_, x, v)))
+        answer = self._map(parts, 0.0)
+        return answer._replace(valid=answer.valid & bool(self.surface.in_support(p_)))
 
     def exp(self, p: Array, v: Array) -> Map:
-        """Exp_p(v) of one p (3,) and many v (N, 3)."""
-        p_, parts = self.inward(p), self.tensor(v / self.scale).split(CHUNK)
-        answers = [self.surface.decode_exp(p_, x) for x in track(parts, "Exp")]
-        return self._map(answers, self.centre)
+        """Exp_p(v) of one p (3,) and many v (N, 3); valid where the validity is above one half."""
+        p_, parts = self.inward(p), []
+        for x in track(self.tensor(v / self.scale).split(CHUNK), "Exp"):
+            q, logit = self.surface.decode_exp(p_, x)
+            parts.append((q, logit, logit.isfinite()))
+        return self._map(parts, self.centre)
 
-    def _map(self, answers: list, shift: Array | float) -> Map:
+    def _map(self, parts: list, shift: Array | float) -> Map:
         import torch
 
-        value, logit = (torch.cat(x) for x in zip(*answers, strict=True))
-        return Map(numbers(value) * self.scale + shift, numbers(logit.sigmoid()))
+        value, logit, trusted = (torch.cat(x) for x in zip(*parts, strict=True))
+        validity = numbers(logit.sigmoid())
+        valid = (validity > 0.5) & trusted.cpu().numpy()
+        return Map(numbers(value) * self.scale + shift, validity, valid)
 
     def asked(self) -> torch.Tensor:
         """All points in the cube; of a mesh its samples follow, for few vertices carry no chart."""
@@ -140,7 +151,7 @@ class Loaded:
             raise UserError("source: give one of --source INDEX and --at X,Y,Z")
         if where.source is not None:
             return self.at_index(where.source, "--source")
-        return self.at_point(coordinates(where.at or "", "--at"))
+        return self.at_point(coordinates(where.at or "", "--at"), "--at")
 
     def at_index(self, index: int, option: str) -> Place:
         """The vertex or point of this index."""
@@ -152,10 +163,16 @@ class Loaded:
             )
         return Place(self.points[index], index, 0.0)
 
-    def at_point(self, x: Array) -> Place:
+    def at_point(self, x: Array, option: str) -> Place:
         """The place on the shape that is nearest to x (3,)."""
-        unit = (self.points - self.centre) / self.scale
-        near = nearest_on_shape((x - self.centre) / self.scale, unit, self.faces)
+        with np.errstate(over="ignore"):
+            asked = (x - self.centre) / self.scale
+        if not np.abs(asked).max() <= FARTHEST:
+            raise UserError(
+                f"{option} must lie near the shape, which is {2 * self.scale:.4g} long, got "
+                f"{','.join(f'{value:.6g}' for value in x)}; is it in the file's unit?"
+            )
+        near = nearest_on_shape(asked, (self.points - self.centre) / self.scale, self.faces)
         p = near * self.scale + self.centre
         return Place(p, None, float(np.linalg.norm(p - x)))
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 PANEL = "Maps of a shape"
 RAYS, RINGS = 24, 8
 """Directions and lengths of the fan that `exp` shoots where no vectors are given."""
+LONGEST = 100.0
+"""Longer vectors, in trained radii, are refused."""
 MOST_PATHS = 200
 """Geodesics drawn."""
 SAMPLES = 25
@@ -37,13 +39,14 @@ def chart(loaded: Loaded, p: Array) -> tuple[Map, Array, Array]:
 def chart_result(loaded: Loaded, p: Array, note: str, **more: np.ndarray) -> tuple[Result, dict]:
     """A log map in every form, and facts about it; `more` are further arrays of the .npz."""
     log, uv, distance = chart(loaded, p)
-    reached = (log.validity > 0.5) & (distance <= loaded.radius)
+    reached = log.valid & (distance <= loaded.radius)
     arrays = {
         "points": loaded.points,
         "log": log.value,
         "uv": uv,
         "distance": distance,
         "validity": log.validity,
+        "valid": log.valid,
         "frame": loaded.frame(p),
         "source": p,
         "radius": np.array(loaded.radius),
@@ -102,8 +105,9 @@ def log(encoding: Encoding, where: Where, output: Output) -> Answer:
     """Log map of all points from one source: tangent vectors that lead to them.
 
     An .npz holds points, log (n, 3), uv (n, 2) in the source's frame, distance, validity (the
-    probability that a point lies before the cut locus), frame, source and radius, in the order and
-    units of the file. In .ply and .obj the trained disc fills the texture's square.
+    probability that a point lies before the cut locus), valid (whether to believe the answer),
+    frame, source and radius, in the order and units of the file. In .ply and .obj the trained disc
+    fills the texture's square.
     """
     output.check(encoding.shape)
     loaded = encoding.load()
@@ -144,6 +148,7 @@ def exp(
     if x is None:
         x = fan(loaded.radius)
     v = x @ axes.T if x.shape[1] == 2 else x
+    check_length(v, loaded.radius, vectors)
     end, uv = loaded.exp(place.point, v), v @ axes
     beyond = int((np.linalg.norm(v, axis=1) > loaded.radius * (1 + 1e-6)).sum())
     arrays = {
@@ -176,6 +181,16 @@ def exp(
     if beyond:
         text += f"; {beyond:,} longer than the trained radius {loaded.radius:.4g}: less reliable"
     return Answer(facts, text)
+
+
+def check_length(v: Array, radius: float, path: Path | None) -> None:
+    """Refuses vectors (K, 3) that are likely in another unit than the shape."""
+    longest = np.abs(v).max()
+    if longest > LONGEST * radius:
+        raise UserError(
+            f"{path}: must hold vectors up to {LONGEST:g} trained radii ({radius:.4g}), got one of "
+            f"{longest:.4g}; are they in the file's unit?"
+        )
 
 
 def exp_paths(loaded: Loaded, p: Array, v: Array) -> Array:
@@ -211,8 +226,8 @@ def geodesic(
 ) -> Answer:
     """Geodesics from one source to one or several ends.
 
-    An .npz holds paths (K, samples, 3), length (K,), validity (K,), source, targets (K, 3) and
-    radius; .ply and .obj hold the polylines.
+    An .npz holds paths (K, samples, 3), length (K,), validity (K,), valid (K,), source, targets
+    (K, 3) and radius; .ply and .obj hold the polylines.
     """
     output.check(encoding.shape)
     if not (target or to):
@@ -221,14 +236,15 @@ def geodesic(
     loaded = encoding.load()
     place = loaded.place(where)
     places = [loaded.at_index(i, "--target") for i in target or ()]
-    places += [loaded.at_point(x) for x in ends]
+    places += [loaded.at_point(x, "--to") for x in ends]
     q = np.stack([x.point for x in places])
-    paths, length, validity = geodesics(loaded, place.point, q, samples)
+    paths, length, log = geodesics(loaded, place.point, q, samples)
     k = len(q)
     arrays = {
         "paths": paths,
         "length": length,
-        "validity": validity,
+        "validity": log.validity,
+        "valid": log.valid,
         "source": place.point,
         "targets": q,
         "radius": np.array(loaded.radius),
@@ -251,22 +267,26 @@ def geodesic(
     facts = about(loaded, encoding, output, place) | {
         "targets": [x.facts() for x in places],
         "length": length.tolist(),
-        "validity": validity.tolist(),
+        "valid": log.valid.tolist(),
         "beyond_radius": beyond,
     }
-    lengths = ", ".join(f"{x:.6g}" for x in length[:8])
-    text = f"{output.out}: {k} geodesics from {place}, {lengths}{' ...' * (k > 8)} long"
-    if beyond:
-        text += f"; {beyond} longer than the trained radius {loaded.radius:.4g}: less reliable"
+    lengths = ", ".join(f"{x:.6g}" for x in length[:8]) + " ..." * (k > 8)
+    text = f"{output.out}: from {place}, {'geodesic' if k == 1 else 'geodesics'} {lengths} long"
+    doubtful = int((~log.valid | (length > loaded.radius)).sum())
+    if doubtful:
+        text += (
+            f"; {doubtful} not to be relied on: beyond the trained radius {loaded.radius:.4g}, past "
+            "the cut locus or across a gap"
+        )
     return Answer(facts, text)
 
 
-def geodesics(loaded: Loaded, p: Array, q: Array, samples: int) -> tuple[Array, Array, Array]:
-    """Paths (K, samples, 3) from p (3,) to q (K, 3), their lengths (K,) and validity (K,)."""
+def geodesics(loaded: Loaded, p: Array, q: Array, samples: int) -> tuple[Array, Array, Map]:
+    """Paths (K, samples, 3) from p (3,) to q (K, 3), their lengths (K,) and Log_p(q)."""
     import torch
 
     t = torch.linspace(0, 1, samples)
     p_, q_ = loaded.inward(p), loaded.inward(q)
     paths = loaded.surface.geodesic(p_, q_[:, None], t.to(q_))
     log = loaded.log(p, q)
-    return loaded.outward(paths), loaded.distance(p, q, log), log.validity
+    return loaded.outward(paths), loaded.distance(p, q, log), log

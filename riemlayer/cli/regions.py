@@ -135,7 +135,7 @@ def mean(
     weights = None if masses is None else read_array(masses).astype(float).reshape(-1)
     loaded = encoding.load()
     places = [loaded.at_index(i, "--point") for i in point or ()]
-    places += [loaded.at_point(x) for x in wanted]
+    places += [loaded.at_point(x, "--at") for x in wanted]
     places += [] if listed is None else listed_places(loaded, listed, str(among))
     if not places:
         raise UserError("point: give --point INDEX, --at X,Y,Z or --among FILE.npy, at least once")
@@ -165,7 +165,7 @@ def listed_places(loaded: Loaded, listed: np.ndarray, name: str) -> list:
     if listed.ndim == 1 and listed.dtype.kind in "iu":
         return [loaded.at_index(int(i), name) for i in listed]
     if listed.ndim == 2 and listed.shape[1] == 3:
-        return [loaded.at_point(x) for x in listed.astype(float)]
+        return [loaded.at_point(x, name) for x in listed.astype(float)]
     raise UserError(
         f"{name}: must hold (K,) whole numbers or (K, 3) coordinates, got {listed.shape}"
     )

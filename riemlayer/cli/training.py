@@ -204,10 +204,10 @@ def held_out(folders: list[str]) -> float:
         files = sample_files(folders)
     except FileNotFoundError as error:
         raise UserError(f"{error}; make some with riemlayer prepare") from error
-    for fraction in (0.03, 0.06, 0.12, 0.25, 0.5):
-        train, held = split(files, fraction)
+    for percent in range(3, 100):
+        train, held = split(files, percent / 100)
         if train and held:
-            return fraction
+            return percent / 100
     raise UserError(f"{' '.join(folders)}: holds {len(files)} shapes, too few to hold one out")
 
 

@@ -57,10 +57,11 @@ def sample_poisson(vertices: NDArray, faces: NDArray, n: int, seed: int = 0) -> 
         raise ValueError(f"n must be at least 1, got {n}")
     vertices, faces = np.asarray(vertices, float), np.asarray(faces)
     check_mesh(vertices, faces)
-    size = float(np.ptp(vertices, axis=0).max()) or 1.0
-    a, b, c = (vertices[faces[:, i]] / size for i in range(3))
+    origin, size = vertices.min(0), float(np.ptp(vertices, axis=0).max()) or 1.0
+    scaled = (vertices - origin) / size
+    a, b, c = (scaled[faces[:, i]] for i in range(3))
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-    candidates = sample_surface(vertices / size, faces, CANDIDATES * n, np.random.default_rng(seed))
+    candidates = sample_surface(scaled, faces, CANDIDATES * n, np.random.default_rng(seed))
     radius = START * math.sqrt(2 / math.sqrt(3) * area / n)
     chosen = np.zeros(0, np.int64)
     gap = np.full(len(candidates), np.inf)  # of each candidate to the nearest chosen one
@@ -69,7 +70,7 @@ def sample_poisson(vertices: NDArray, faces: NDArray, n: int, seed: int = 0) -> 
         new = far[_apart(candidates[far], radius)][: n - len(chosen)]
         chosen = np.concatenate([chosen, new])
         if len(chosen) == n:
-            return candidates[chosen] * size
+            return origin + size * candidates[chosen]
         if len(new):
             gap = np.minimum(gap, KDTree(candidates[new]).query(candidates)[0])
         gap[new] = -1.0

@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riemlayer.data.readers.columns import read_table
-from riemlayer.data.readers.record import RawShape, bytes_of_colours, unit_normals
+from riemlayer.data.readers.record import (
+    RawShape,
+    bytes_of_colours,
+    side_by_side,
+    unit_normals,
+)
 
 KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS")
 KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -175,17 +180,19 @@ def expand_lzf(data: bytes, size: int) -> bytes:
 def _shape(columns: dict[str, NDArray], organised: bool) -> RawShape:
     if not {"x", "y", "z"} <= {*columns}:
         raise ValueError(f"must have the fields x, y and z, got {[*columns][:9]}")
-    points = np.concatenate([columns[k][:, :1].astype(float) for k in "xyz"], 1)
-    seen = np.isfinite(points).all(1) if organised else np.ones(len(points), bool)
+    points = side_by_side(columns[k][:, 0] for k in "xyz")
+    seen = slice(None)
+    if organised and not np.isfinite(points).all():
+        seen = np.isfinite(points).all(1)
     normals = colours = None
     names = [f"normal_{k}" for k in "xyz"]
     if {*names} <= {*columns}:
-        normals = unit_normals(np.concatenate([columns[k][:, :1] for k in names], 1)[seen])
+        normals = unit_normals(side_by_side(columns[k][:, 0] for k in names)[seen])
     for name in ("rgb", "rgba"):
         if name in columns:
             colours = _unpack(columns[name][:, 0])[seen]
-    missing = int((~seen).sum())
-    return RawShape(points=points[seen], normals=normals, colours=colours, missing=missing)
+    kept = points[seen]
+    return RawShape(points=kept, normals=normals, colours=colours, missing=len(points) - len(kept))
 
 
 def _unpack(packed: NDArray) -> NDArray[np.uint8]:

@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 
 from riemlayer.data.readers.columns import read_table
 from riemlayer.data.readers.polygons import fans, read_polygons
-from riemlayer.data.readers.record import RawShape, bytes_of_colours, unit_normals
+from riemlayer.data.readers.record import (
+    RawShape,
+    bytes_of_colours,
+    side_by_side,
+    unit_normals,
+)
 
 TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -201,29 +206,22 @@ def _lines(file: IO[bytes]) -> Iterator[str]:
 
 def _shape(contents: dict[str, Content]) -> RawShape:
     vertex, face = contents.get("vertex", Content()), contents.get("face", Content())
-    positions = _columns(vertex, AXES)
-    if positions is None:
+    if not {*AXES} <= {*vertex}:
         raise ValueError("must have an element `vertex` with x, y and z")
-    normals = _columns(vertex, NORMAL)
-    colours = next(
-        (c for c in (_columns(vertex, names) for names in COLOURS) if c is not None), None
-    )
-    uv = next(
-        (c for c in (_columns(vertex, names) for names in COORDINATES) if c is not None), None
-    )
+    positions = side_by_side(vertex[name] for name in AXES)
+    normals, uv = _columns(vertex, (NORMAL,)), _columns(vertex, COORDINATES)
+    colours = next((names for names in COLOURS if {*names} <= {*vertex}), None)
     beside = {
         "normals": None if normals is None else unit_normals(normals),
-        "colours": None if colours is None else bytes_of_colours(colours),
+        "colours": colours and bytes_of_colours(np.stack([vertex[name] for name in colours], 1)),
     }
     if len(face.get("counts", ())) == 0:
-        return RawShape(points=positions.astype(float), **beside)
+        return RawShape(points=positions, **beside)
     faces = fans(face["corners"], face["counts"])
-    uv = None if uv is None else uv.astype(float)
-    return RawShape(vertices=positions.astype(float), faces=faces, uv=uv, **beside)
+    return RawShape(vertices=positions, faces=faces, uv=uv, **beside)
 
 
-def _columns(content: Content, names: tuple[str, ...]) -> NDArray | None:
-    """The columns of those names side by side, if all are there."""
-    if not {*names} <= {*content}:
-        return None
-    return np.stack([content[name] for name in names], 1)
+def _columns(vertex: Content, choices: tuple[tuple[str, ...], ...]) -> NDArray | None:
+    """The first of the choices whose columns are all there, side by side."""
+    names = next((names for names in choices if {*names} <= {*vertex}), None)
+    return None if names is None else side_by_side(vertex[name] for name in names)

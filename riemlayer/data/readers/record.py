@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,10 +84,10 @@ def check_positions(name: str, x: NDArray) -> None:
         raise ValueError(
             f"must hold at least {least} {name} of 3 numbers, got {x.shape}; is it cut short?"
         )
-    bad = int((~np.isfinite(x)).any(1).sum())
-    if bad:
+    if not np.isfinite(x).all():
+        bad = int((~np.isfinite(x)).any(1).sum())
         raise ValueError(f"must hold finite {name}, {bad} of {len(x)} are not; remove those")
-    low, high = x.min(0), x.max(0)
+    low, high = (np.array([f(column) for column in x.T]) for f in (np.min, np.max))
     if max(-low.min(), high.max()) > LARGEST:
         raise ValueError(f"must hold {name} up to {LARGEST:.0e}, got larger ones; is it binary?")
     if (high - low).max() <= 1 / LARGEST:
@@ -105,6 +106,15 @@ def _check_faces(vertices: NDArray, faces: NDArray) -> None:
     size = float(np.ptp(vertices, axis=0).max())
     if not np.linalg.norm(np.cross((b - a) / size, (c - a) / size), axis=1).sum() > 1e-12:
         raise ValueError("must hold faces with an area, all of them are degenerate; remesh it")
+
+
+def side_by_side(columns: Iterable[NDArray]) -> NDArray[np.float64]:
+    """Columns (N,) as (N, k); without a copy between, so that mapped files need no memory."""
+    columns = list(columns)
+    table = np.empty((len(columns[0]), len(columns)))
+    for i, column in enumerate(columns):
+        table[:, i] = column
+    return table
 
 
 def unit_normals(x: NDArray) -> NDArray[np.float64]:
