@@ -71,6 +71,7 @@ class ExpLogField(Pretrained, nn.Module):
 
         Each cloud is centred and scaled by its own bounding box to the cube [-1, 1]^3; a cloud
         gives the same surface alone or in a batch, and the order of its points does not matter.
+        Always eager: the octree's sizes depend on the points. `riemlayer.deploy` exports the rest.
 
         Args:
             points: (N, 3) of one cloud, or of several packed one after the other; any unit.
@@ -81,7 +82,13 @@ class ExpLogField(Pretrained, nn.Module):
 
         Raises:
             TypeError, ValueError: naming the argument, what was expected and what came.
+            RuntimeError: `torch.export` or the ONNX exporter is tracing.
         """
+        if _exporting():
+            raise RuntimeError(
+                "encode stays eager, because the octree's sizes depend on the points, and cannot "
+                "be exported; export the decoders: riemlayer.deploy.export(field, 'exp' or 'log')"
+            )
         checks.check_tensor("points", points)
         checks.check_same_kind("points", points, like=self.backbone.head.weight)
         checks.check_points(points, batch)
@@ -156,3 +163,7 @@ def _has_bfloat16(device: str) -> bool:
     if device == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     return device == "cpu" and torch.cpu._is_avx512_bf16_supported()
+
+
+def _exporting() -> bool:
+    return getattr(torch.compiler, "is_exporting", bool)()  # torch 2.6 has none
