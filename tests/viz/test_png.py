@@ -1,5 +1,6 @@
 """Pictures: what they show, pixel by pixel where the truth is known."""
 
+
 import numpy as np
 import pytest
 from flat import flat_drawing, from_above, places
