@@ -122,7 +122,7 @@ class TriplaneDecoder(nn.Module):
         features = sample_triplane(planes, x)
         inputs = (y.contiguous() for y in (features.to(x.dtype), x, *told))  # else cat is slow
         rows = torch.cat([*inputs], -1).flatten(0, 1)
-        source = torch.arange(len(x), device=x.device)[:, None].expand(x.shape[:2]).flatten()
+        source = torch.arange(x.shape[0], device=x.device)[:, None].expand(x.shape[:2]).flatten()
         first, *rest = self.body
         whole = torch.is_grad_enabled() or torch.compiler.is_compiling()
         parts = (
