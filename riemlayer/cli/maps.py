@@ -275,8 +275,8 @@ def geodesic(
     doubtful = int((~log.valid | (length > loaded.radius)).sum())
     if doubtful:
         text += (
-            f"; {doubtful} not to be relied on: beyond the trained radius {loaded.radius:.4g}, past "
-            "the cut locus or across a gap"
+            f"; {doubtful} not to be relied on: beyond the trained radius {loaded.radius:.4g}, "
+            "past the cut locus or across a gap"
         )
     return Answer(facts, text)
 
