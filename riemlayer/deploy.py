@@ -178,12 +178,13 @@ def export_onnx(program: ExportedProgram, path: str | Path) -> None:
         path: to write.
 
     Raises:
-        ImportError: onnx or onnxscript is not installed.
+        ModuleNotFoundError: onnx or onnxscript is not installed.
     """
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
-        raise ImportError(
-            f"writing ONNX needs {' and '.join(missing)}; install riemlayer with the extra `deploy`"
+        raise ModuleNotFoundError(
+            f"writing ONNX needs {' and '.join(missing)}; install riemlayer with the extra `deploy`",
+            name=missing[0],
         )
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*LeafSpec", FutureWarning)  # torch's own
