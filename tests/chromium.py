@@ -23,7 +23,7 @@ FLAGS = (
     "--force-prefers-reduced-motion", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-extensions", "--hide-scrollbars",
 )  # fmt: skip
-PATIENCE = 60.0
+PATIENCE = 180.0
 """Seconds: software WebGL on a busy machine is slow."""
 
 

@@ -11,7 +11,14 @@ from riemlayer.viz.html import write_html
 from riemlayer.viz.mesh import subdivide
 from riemlayer.viz.palette import colour_map, label_colours
 from riemlayer.viz.png import write_png
-from riemlayer.viz.scenes import draw_exp, draw_log
+from riemlayer.viz.scenes import (
+    draw_errors,
+    draw_exp,
+    draw_geodesics,
+    draw_log,
+    draw_stitched,
+    draw_validity,
+)
 from riemlayer.viz.server import Viewer, serve
 from riemlayer.viz.tiles import checkerboard, polar_grid
 from riemlayer.viz.view import View, outward, tangent_coordinates, tangent_frame, viewpoint
@@ -23,8 +30,12 @@ __all__ = [
     "Viewer",
     "checkerboard",
     "colour_map",
+    "draw_errors",
     "draw_exp",
+    "draw_geodesics",
     "draw_log",
+    "draw_stitched",
+    "draw_validity",
     "label_colours",
     "outward",
     "polar_grid",

@@ -13,6 +13,9 @@ from riemlayer.viz.view import to_numpy, unit
 
 Array = np.ndarray
 
+STEEPEST = 3.0
+"""A log map that changes faster than this along the surface is torn there (cut locus)."""
+
 
 class Canvas:
     """A mesh with normals that respect its sharp edges, or a cloud as small discs.
@@ -85,11 +88,23 @@ class Canvas:
         edges = points[faces[:, 1]] - points[faces[:, 0]]
         self.spacing = float(np.linalg.norm(edges, axis=-1).mean())
 
-    def slope(self, log: Array) -> Array | None:
-        """(N, 2, 3) derivative of a log map (N, 2) along the surface, for the discs of a cloud."""
+    def log_slope(self, log: Array) -> Array | None:
+        """(N, 2, 3) derivative of a log map (N, 2) along a cloud, 0 where it is torn; no mesh's."""
         if self.discs is None:
             return None
-        return slopes(self.points, log, self.discs.neighbours)
+        slope = slopes(self.points, log, self.discs.neighbours)
+        return slope * (np.linalg.norm(slope, axis=(1, 2)) < STEEPEST)[:, None, None]
+
+    def value_slope(self, values: Array, drawn: Array) -> Array | None:
+        """(N, 1, 3) derivative of numbers (N,) along a cloud, from those that are drawn (N,) bool.
+
+        None for a mesh.
+        """
+        if self.discs is None:
+            return None
+        itself = np.arange(len(values))[:, None]
+        neighbours = np.where(drawn[self.discs.neighbours], self.discs.neighbours, itself)
+        return slopes(self.points, values[:, None], neighbours)
 
     @cached_property
     def size(self) -> float:

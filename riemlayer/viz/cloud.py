@@ -11,17 +11,20 @@ from riemlayer.viz.view import tangent_frame, unit
 
 Array = np.ndarray
 
-STEEPEST = 3.0
-"""A log map that changes faster than this along the surface is torn there (cut locus)."""
-NEAR = 16
+NEAR = 24
 """Neighbours that a disc is fitted to."""
 RIM = 8
 """A disc reaches `OVERLAP` times as far as this neighbour: random samples leave no holes then."""
 OVERLAP = 1.1
 LONE = 1.15
 """A disc is at most that much larger than its neighbours: those at corners are."""
-STIFFNESS = np.diag([0.0, 0.0, 0.0, 0.02, 0.02, 0.02]) + 1e-6 * np.eye(6)
+STIFFNESS = np.diag([0.0, 0.0, 0.0, 0.003, 0.003, 0.003]) + 1e-6 * np.eye(6)
 """Keeps the fit of few or noisy neighbours from bending wildly."""
+SHEET = 4.0
+"""A neighbour that is that many times as high above the disc as usual lies on another sheet."""
+SMOOTH, LEAST = 0.1, 0.4
+"""Where the root mean square distance of the neighbours to the fitted surface is above `SMOOTH` of
+its size, a disc shrinks, at most to `LEAST`: at sharp edges."""
 GAP = 2.6
 """Angle (radians) without neighbours from which on a point lies at the border of the surface."""
 BORDER = 0.3
@@ -32,7 +35,7 @@ class Discs(NamedTuple):
     """One tangent disc a point, in the order of the cloud."""
 
     neighbours: Array
-    """(N, k) indices, the point itself first."""
+    """(N, k) indices of points of the same sheet; the point itself where there are fewer."""
     normals: Array
     """(N, 3) unit; their sign has no meaning unless it was given."""
     size: Array
@@ -50,18 +53,27 @@ def fit_discs(points: Array, normals: Array | None = None) -> Discs:
 
     Args:
         points: (N, 3)
-        normals: (N, 3) where they are known; local planes otherwise.
+        normals: (N, 3) where they are known; a fit to the neighbours otherwise.
     """
-    neighbours, distance = neighbourhoods(points, NEAR)
-    reach = distance[:, min(RIM, distance.shape[1] - 1)]
+    near, distance = neighbourhoods(points, NEAR)
+    spacing = float(np.median(distance[:, min(3, distance.shape[1] - 1)]))
+    itself = np.arange(len(points))
+    axis = plane_normals(points, near, distance) if normals is None else normals
+    own = same_sheet(points, axis, near)
+    if normals is None:  # the plane of two sheets together leans
+        axis = fit_normals(points, axis, np.where(own, near, itself[:, None]))[0]
+        own = same_sheet(points, axis, near)
+    neighbours = np.where(own, near, itself[:, None])
+    last = (own.cumsum(1) > RIM).argmax(1)  # 0 where the sheet has no more neighbours than that
+    reach = distance[itself, np.where(last > 0, last, -1)]
     reach = np.minimum(reach, LONE * np.median(reach[neighbours], axis=1))
     if normals is None:
-        normals, bend = fit_normals(points, neighbours, distance)
+        normals, bend, misfit = fit_normals(points, axis, neighbours)
         normals = agreed_normals(points, normals, bend, neighbours)
+        reach = reach * (SMOOTH * reach / misfit.clip(1e-300)).clip(LEAST, 1)
     else:
         bend = bends(points, normals, neighbours)
     rim, share = borders(points, normals, neighbours, reach)
-    spacing = float(np.median(distance[:, min(3, distance.shape[1] - 1)]))
     return Discs(neighbours, normals, OVERLAP * share * reach, bend, rim, spacing)
 
 
@@ -82,27 +94,44 @@ def neighbourhoods(points: Array, k: int) -> tuple[Array, Array]:
     return index.numpy(), distance.double().numpy() * float(scale[0])
 
 
-def fit_normals(points: Array, neighbours: Array, distance: Array) -> tuple[Array, Array]:
-    """Unit normals (N, 3) and their derivatives along the surface (N, 3, 3).
-
-    A quadratic height over the plane of least spread is fitted to the neighbours (N, k), near ones
-    counting more: a plane alone leans wherever samples of a curved surface are uneven.
-    """
+def plane_normals(points: Array, neighbours: Array, distance: Array) -> Array:
+    """Unit normals (N, 3): the direction in which the neighbours (N, k) spread least."""
     weight = (1.01 - (distance / distance[:, -1:].clip(1e-300)) ** 2)[..., None]
     mean = (weight * points[neighbours]).sum(1, keepdims=True) / weight.sum(1, keepdims=True)
     offset = points[neighbours] - mean
-    plane = np.linalg.eigh(offset.transpose(0, 2, 1) @ (weight * offset))[1][..., 0]
-    scale = distance[:, -1].clip(1e-300)[:, None, None]
-    offset = (points[neighbours] - points[:, None]) / scale
-    axes = tangent_frame(plane)  # (N, 2, 3)
-    x, y = (offset @ axes.transpose(0, 2, 1)).transpose(2, 0, 1)
-    height = (offset * plane[:, None]).sum(-1, keepdims=True)
+    return np.linalg.eigh(offset.transpose(0, 2, 1) @ (weight * offset))[1][..., 0]
+
+
+def same_sheet(points: Array, normals: Array, neighbours: Array) -> Array:
+    """(N, k) bool: the neighbour is about as high over the plane at the point as a third of all."""
+    offset = points[neighbours] - points[:, None]
+    height = np.abs((offset * normals[:, None]).sum(-1))
+    third = neighbours.shape[1] // 3
+    usual = np.partition(height, third, axis=1)[:, third, None]
+    return height <= SHEET * usual + 1e-3 * np.linalg.norm(offset[:, -1:], axis=-1)
+
+
+def fit_normals(points: Array, axis: Array, neighbours: Array) -> tuple[Array, Array, Array]:
+    """Unit normals (N, 3), their derivatives along the surface (N, 3, 3), and the misfit (N,).
+
+    A quadratic height along the axis (N, 3) is fitted to the neighbours (N, k), near ones counting
+    more: a plane alone leans wherever samples of a curved surface are uneven.
+    """
+    offset = points[neighbours] - points[:, None]
+    distance = np.linalg.norm(offset, axis=-1, keepdims=True)
+    scale = distance.max(1, keepdims=True).clip(1e-300)
+    weight, offset = 1.01 - (distance / scale) ** 2, offset / scale
+    plane = tangent_frame(axis)  # (N, 2, 3)
+    x, y = (offset @ plane.transpose(0, 2, 1)).transpose(2, 0, 1)
+    height = (offset * axis[:, None]).sum(-1, keepdims=True)
     terms = np.stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2], -1)
-    normal_matrix = terms.transpose(0, 2, 1) @ (weight * terms) + STIFFNESS
-    c = np.linalg.solve(normal_matrix, terms.transpose(0, 2, 1) @ (weight * height))[..., 0]
-    normals = unit(plane - (c[:, 1:3, None] * axes).sum(1))
-    hessian = c[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
-    return normals, -axes.transpose(0, 2, 1) @ hessian @ axes / scale
+    moment = terms.transpose(0, 2, 1) @ (weight * terms) + STIFFNESS
+    c = np.linalg.solve(moment, terms.transpose(0, 2, 1) @ (weight * height))
+    misfit = (weight * (height - terms @ c) ** 2).sum((1, 2)) / weight.sum((1, 2))
+    normals = unit(axis - (c[:, 1:3] * plane).sum(1))
+    hessian = c[:, [3, 4, 4, 5], 0].reshape(-1, 2, 2)
+    bend = -plane.transpose(0, 2, 1) @ hessian @ plane / scale
+    return normals, bend, np.sqrt(misfit) * scale[:, 0, 0]
 
 
 def agreed_normals(points: Array, normals: Array, bend: Array, neighbours: Array) -> Array:
@@ -124,8 +153,10 @@ def borders(points: Array, normals: Array, neighbours: Array, reach: Array) -> t
         (N, 3) `Discs.rim`, and what share (N,) of the size is left: less than 1 at corners.
     """
     axes = tangent_frame(normals)
-    x, y = ((points[neighbours[:, 1:]] - points[:, None]) @ axes.transpose(0, 2, 1)).T
-    angle = np.sort(np.arctan2(y, x), axis=0)  # (k - 1, N)
+    x, y = ((points[neighbours] - points[:, None]) @ axes.transpose(0, 2, 1)).T  # (k, N)
+    alone = np.equal(neighbours.T, np.arange(len(points)))
+    angle = np.where(alone, -np.inf, np.arctan2(y, x))
+    angle = np.sort(np.where(np.isfinite(angle), angle, angle.max(0).clip(-np.pi)), axis=0)
     gap = np.diff(angle, axis=0, append=angle[:1] + 2 * np.pi)
     widest = gap.argmax(0)[None]
     gap, start = (np.take_along_axis(z, widest, 0)[0] for z in (gap, angle))
@@ -135,11 +166,9 @@ def borders(points: Array, normals: Array, neighbours: Array, reach: Array) -> t
     return rim, (2 - gap / np.pi).clip(0.3, 1)
 
 
-def slopes(points: Array, log: Array, neighbours: Array) -> Array:
-    """Least-squares derivative (N, 2, 3) of a log map (N, 2) along the surface; 0 where torn."""
-    dy = log[neighbours] - log[:, None]
-    slope = _derivative(points, neighbours, dy)
-    return slope * (np.linalg.norm(slope, axis=(1, 2)) < STEEPEST)[:, None, None]
+def slopes(points: Array, x: Array, neighbours: Array) -> Array:
+    """Least-squares derivative (N, m, 3) of a map (N, m) along the surface."""
+    return _derivative(points, neighbours, x[neighbours] - x[:, None])
 
 
 def bends(points: Array, normals: Array, neighbours: Array) -> Array:

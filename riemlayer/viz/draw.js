@@ -24,7 +24,7 @@ const SURFACE_VERTEX = `#version 300 es
     vec3 offset = size * (corner.x * a + corner.y * cross(normal, a));
     place = point + offset; eye = seen(place);
     gl_Position = project(eye);
-    x = log + vec2(dot(slope0, offset), dot(slope1, offset)); v = value * valid; ok = valid; t = tint;
+    x = log + vec2(dot(slope0, offset), dot(slope1, offset)); v = (value + dot(slope0, offset)) * valid; ok = valid; t = tint;
     n = turn * (normal + vec3(dot(bend0, offset), dot(bend1, offset), dot(bend2, offset)));
     disc = vec4(corner, size, dot(rim, offset));
     deep = 0.5 * size * far() * near() / ((far() - near()) * eye.z * eye.z);

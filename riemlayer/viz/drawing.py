@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -71,7 +71,7 @@ class Drawing:
     canvas: Canvas = field(init=False)
     """The shape as it is drawn."""
     slope: Array | None = field(init=False, default=None)
-    """(N, 2, 3) derivative of `log` along the surface, for the discs of a cloud."""
+    """(N, m, 3) derivative of `log` or `values` along the surface, for the discs of a cloud."""
 
     def __post_init__(self) -> None:
         canvas = self.points
@@ -97,14 +97,19 @@ class Drawing:
             if put["log"] is not None or put["colours"] is not None:
                 raise ValueError("`values` must stand alone, got `log` or `colours` beside them")
             put |= self._numbers(put["values"], put["valid"])
+            put["slope"] = canvas.value_slope(put["values"], put["valid"] > 0)
         if put["log"] is not None:
             whole = np.isfinite(put["log"]).all(1)
             if not whole.all():
                 put["log"] = np.where(whole[:, None], put["log"], 0.0)
                 put["valid"] = whole * (1.0 if put["valid"] is None else put["valid"])
-            put["slope"] = canvas.slope(put["log"])
+            put["slope"] = canvas.log_slope(put["log"])
         for name, value in put.items():
             object.__setattr__(self, name, value)
+
+    def replace(self, **changes: Any) -> Drawing:
+        """The same drawing with other arguments, on the same canvas."""
+        return replace(self, points=self.canvas, **changes)
 
     @property
     def pattern(self) -> int:

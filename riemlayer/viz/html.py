@@ -14,6 +14,7 @@ import numpy as np
 from riemlayer.viz import palette
 from riemlayer.viz.canvas import Canvas
 from riemlayer.viz.drawing import Array, Drawing
+from riemlayer.viz.sheet import tick_labels
 from riemlayer.viz.view import View
 
 HUGE = 1e30
@@ -118,8 +119,9 @@ def encode_content(drawing: Drawing, store: ArrayStore) -> dict[str, Any]:
         "low": low,
         "high": high,
         "label": drawing.label,
+        "ticks": tick_labels(drawing),
         **{name: store(None if x is None else x[corner]) for name, x in by_point.items()},
-        "slope": store(drawing.slope),
+        "slope": store(_two_rows(drawing.slope)),
         "p": store(drawing.p),
         "dots": store(drawing.dots),
         "paths": store(_segments(drawing.paths)),
@@ -183,3 +185,10 @@ def _segments(lines) -> Array:
     """(..., 6) begin and end of every straight piece of the polylines."""
     pieces = [np.concatenate([line[:-1], line[1:]], axis=1) for line in lines]
     return np.concatenate(pieces) if pieces else np.zeros((0, 6))
+
+
+def _two_rows(slope: Array | None) -> Array | None:
+    """(N, 2, 3) what the shader takes: the second row is 0 where there is one number a point."""
+    if slope is None:
+        return None
+    return np.concatenate([slope, np.zeros_like(slope)], axis=1)[:, :2]

@@ -77,10 +77,10 @@ function element(tag, parent, text = "") {
   return e;
 }
 function addBar(cell, d) {
-  const bar = element("div", cell), strip = element("i", bar), ends = element("span", bar);
+  const bar = element("div", cell), strip = element("i", bar), ticks = element("span", bar);
   bar.className = "bar";
-  strip.style.background = `linear-gradient(to top, ${scene.bar.join(", ")})`;
-  for (const x of [d.high, d.low]) element("small", ends, Number(x.toPrecision(3)).toString());
+  strip.style.background = `linear-gradient(to right, ${scene.bar.join(", ")})`;
+  for (const tick of d.ticks) element("small", ticks, tick);
   element("em", bar, d.label);
 }
 function show(list) {

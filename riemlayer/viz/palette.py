@@ -72,3 +72,21 @@ def label_colours(labels: Any) -> Array:
     labels = np.asarray(labels, np.int64)
     rounds = labels // len(CHARTS) % 3
     return 1 - (1 - np.array(CHARTS)[labels % len(CHARTS)]) * (0.6**rounds)[..., None]
+
+
+def apart(centres: Any) -> Array:
+    """Labels (C,) for `label_colours` such that centres (C, 3) near each other differ.
+
+    Each takes the first colour that none of the six nearest before it has.
+
+    Example:
+        >>> apart([[0, 0, 0], [1, 0, 0], [2, 0, 0]]).tolist()
+        [0, 1, 2]
+    """
+    centres = np.asarray(centres, float)
+    labels: list[int] = []
+    for i, centre in enumerate(centres):
+        nearest = np.linalg.norm(centres[:i] - centre, axis=-1).argsort()[: len(CHARTS) - 1]
+        taken = {labels[j] for j in nearest}
+        labels.append(next(k for k in range(len(CHARTS)) if k not in taken))
+    return np.array(labels, np.int64)

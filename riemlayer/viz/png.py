@@ -33,7 +33,7 @@ def write_png(
         path: the file to write; it appears only when it is complete.
         drawings: one or more.
         view: the camera, see `viewpoint`.
-        size: height and width of each part, in pixels; a colour bar adds a quarter of that.
+        size: height and width of each part, in pixels; titles and colour bars come in addition.
         columns: parts in a row; all of them by default.
 
     Returns:

@@ -18,10 +18,12 @@ from riemlayer.viz.canvas import Canvas
 from riemlayer.viz.drawing import Drawing
 from riemlayer.viz.html import ArrayStore, encode_canvas, encode_content, render_page
 from riemlayer.viz.scenes import RAYS, TILES, exp_fan, log_map, normal_at
-from riemlayer.viz.view import tangent_coordinates, viewpoint
+from riemlayer.viz.view import viewpoint
 
 HOST = "127.0.0.1"
 NOTE = "Click on the shape to choose the source; drag with the shift key to move it."
+FINENESS = 12
+"""Edges of a mesh are halved until that many fit into the radius."""
 IDLE = 30
 """Seconds after which a connection that asks nothing is closed."""
 
@@ -101,7 +103,8 @@ class Viewer:
         if len(surface) != 1:
             raise ValueError(f"`surface` must be one shape, got {len(surface)}; take surface[i]")
         self.surface = surface.detach()
-        self.canvas = Canvas(surface.points if points is None else points, faces)
+        longest = float(surface.radius) / FINENESS
+        self.canvas = Canvas(surface.points if points is None else points, faces, longest=longest)
         self.title = title
         self.view = viewpoint(self.canvas.points, [0.0, 0.0, 1.0])
         if p is None:
@@ -138,18 +141,18 @@ class Viewer:
         """What the page shows of the source p (3,)."""
         reach = float(self.surface.radius)
         normal = normal_at(self.surface, p, self.canvas)
-        log, valid = log_map(self.surface, p, self.canvas, reach)
-        flat, size = tangent_coordinates(log, normal), reach / TILES
+        flat, trust = log_map(self.surface, p, normal, self.canvas, reach)
+        size = reach / TILES
         fan = [*exp_fan(self.surface, p, normal, reach, RAYS)]
 
         def draw(title: str, **content: Any) -> Drawing:
             return Drawing(self.canvas, p=p, radius=reach, period=size, title=title, **content)
 
         return [
-            draw("checkerboard", log=flat, valid=valid),
-            draw("polar grid", log=flat, valid=valid, texture="polar"),
+            draw("checkerboard", log=flat, valid=trust),
+            draw("polar grid", log=flat, valid=trust, texture="polar"),
             draw("Exp", paths=fan),
-            draw("validity", values=valid, limits=(0, 1), label="validity"),
+            draw("validity", values=trust, limits=(0, 1), label="trust"),
         ]
 
     def answer(self, query: str) -> dict[str, Any]:
@@ -161,7 +164,7 @@ class Viewer:
         p = self._asked(parse_qs(query))
         with self._lock:
             drawings = self.draw(p)
-        store = ArrayStore(first=len(self._fixed.encoded))
+        store = ArrayStore(first=self.fixed)
         content = [encode_content(drawing, store) for drawing in drawings]
         return {"p": p.tolist(), "drawings": content, "arrays": store.encoded}
 
@@ -189,14 +192,13 @@ class Viewer:
         return int((seen[:, 2] - 2 * aside).argmax())
 
     def _render(self) -> bytes:
-        self._fixed = ArrayStore()
-        shape = encode_canvas(self.canvas, self._fixed)
-        store = ArrayStore(first=len(self._fixed.encoded))
+        store = ArrayStore()
+        shape = encode_canvas(self.canvas, store)
+        self.fixed = len(store.encoded)
+        """How many arrays of the page stay when the source changes."""
         drawings = [shape | encode_content(x, store) for x in self.draw(self._first)]
-        arrays = self._fixed.encoded + store.encoded
-        fixed = len(self._fixed.encoded)
         page = render_page(
-            drawings, arrays, self.view, self.title, NOTE, scripts=("viewer.js",), fixed=fixed
+            drawings, store.encoded, self.view, self.title, NOTE, ("viewer.js",), self.fixed
         )
         return page.encode()
 

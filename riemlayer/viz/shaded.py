@@ -50,17 +50,19 @@ def vertices(drawing: Drawing) -> tuple[Array, Array, dict[str, Array]]:
         else x.reshape(n, -1)
         for name, x in by_point.items()
     }  # fmt: skip
-    values["value"] = values["value"] * values["valid"]
     discs = canvas.discs
     if discs is None:
         assert canvas.triangles is not None  # a mesh has them
         values = {name: x[canvas.corner] for name, x in values.items()}
+        values["value"] = values["value"] * values["valid"]
         values |= {"normal": canvas.normals, "disc": np.zeros((len(canvas.corner), 4))}
         return canvas.points[canvas.corner], canvas.triangles, values
     offset = np.einsum("n,kc,ncd->nkd", discs.size, SQUARE, tangent_frame(canvas.normals))
     values = {name: np.repeat(x, 4, axis=0) for name, x in values.items()}
     if drawing.slope is not None:
-        values["log"] = values["log"] + _flat(offset @ drawing.slope.transpose(0, 2, 1))
+        name = "log" if drawing.values is None else "value"
+        values[name] = values[name] + _flat(offset @ drawing.slope.transpose(0, 2, 1))
+    values["value"] = values["value"] * values["valid"]
     normals = canvas.normals[:, None] + offset @ discs.bend.transpose(0, 2, 1)
     beyond = np.einsum("nkd,nd->nk", offset, discs.rim)
     disc = np.c_[np.tile(SQUARE, (n, 1)), np.repeat(discs.size, 4), beyond.ravel()]

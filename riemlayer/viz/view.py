@@ -9,7 +9,7 @@ import numpy as np
 
 Array = np.ndarray
 
-CONE = 0.7
+CONE = 0.87
 """What hides a source is looked for in this cone about the normal: cosine of its half angle."""
 
 
