@@ -148,4 +148,7 @@ def linear_with_site(layer: nn.Linear, site: Tensor, rows: Tensor, source: Tenso
     True
     """
     own, shared = layer.weight.split((rows.shape[-1], site.shape[-1]), 1)
-    return F.linear(rows, own) + F.linear(site, shared, layer.bias).index_select(0, source)
+    at_site = F.linear(site, shared, layer.bias)
+    if not torch.compiler.is_compiling() and len(site) == 1:
+        return F.linear(rows, own, at_site[0])
+    return F.linear(rows, own) + at_site.index_select(0, source)
