@@ -215,6 +215,8 @@ def draw_errors(
     """
     if not radius > 0:
         raise ValueError(f"`radius` must be positive, got {radius}")
+    if not errors:
+        raise ValueError("`errors` must hold at least one method, got none")
     drawings = [
         Drawing(canvas, values=to_numpy(x, float) / radius, valid=valid, p=p, title=title,
                 label="error / radius", limits=limits)
