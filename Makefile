@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: help demo test lint types check tables train format setup clean
+.PHONY: help demo test lint types docs check tables train format setup clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | expand -t 10
@@ -25,7 +25,10 @@ lint: $(STAMP)  ## formatting and lint
 types: $(STAMP)  ## static types
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-check: lint types test  ## everything that CI asks for, the demo apart
+docs: $(STAMP)  ## build the documentation into site/; warnings are errors
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+check: lint types docs test  ## everything that CI asks for, the demo apart
 
 tables: $(STAMP)  ## the paper's tables with every rival; DIR=shapes or meshes, FAST=1 for a first look
 	$(BIN)/python -m riemlayer.tables $(if $(DIR),"$(DIR)") $(if $(FAST),--fast) -o tables
@@ -39,12 +42,12 @@ format: $(STAMP)  ## put the code into the house format
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-clean:  ## remove the environment and the demo's output
-	rm -rf $(VENV) demo_output
+clean:  ## remove the environment, the demo's output and the built documentation
+	rm -rf $(VENV) demo_output site
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "riemlayer needs Python 3.11 or newer, found " + sys.version.split()[0] + "; name another one with: make PYTHON=python3.11")'
 	@echo "Setting up $(VENV) (once; a few minutes)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[data,viz,cli,scale,dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[data,viz,cli,scale,deploy,docs,dev]"
 	@touch $@
