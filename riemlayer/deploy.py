@@ -21,8 +21,11 @@ half precision costs, and what `field.exp_head.decoder.compile(dynamic=True)` br
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -183,16 +186,31 @@ def export_onnx(program: ExportedProgram, path: str | Path) -> None:
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise ModuleNotFoundError(
-            f"writing ONNX needs {' and '.join(missing)}; install riemlayer with the extra `deploy`",
+            f"ONNX needs {' and '.join(missing)}; install riemlayer with the extra `deploy`",
             name=missing[0],
         )
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*LeafSpec", FutureWarning)  # torch's own
+    with _quiet():
         written = torch.onnx.export(
             program, output_names=["vector", "validity"], dynamo=True, verbose=False
         )
     assert written is not None  # None is for the exporter of old
     written.save(path, external_data=False)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what torch and onnxscript say about themselves: no torchvision, a fold left out."""
+    loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript")]
+    levels = [logger.level for logger in loggers]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*LeafSpec", FutureWarning)
+        try:
+            for logger in loggers:
+                logger.setLevel(logging.ERROR)
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
 
 
 def _head(field: ExpLogField, which: str) -> MapHead:

@@ -181,6 +181,6 @@ def test_bad_arguments_are_named(field):
 def test_missing_onnx_is_named(program, monkeypatch, tmp_path):
     find = importlib.util.find_spec
     monkeypatch.setattr(deploy, "find_spec", lambda name: None if name == "onnx" else find(name))
-    with pytest.raises(ModuleNotFoundError, match=r"needs onnx; .*extra `deploy`"):
+    with pytest.raises(ModuleNotFoundError, match=r"ONNX needs onnx; .*extra `deploy`"):
         deploy.export_onnx(program, tmp_path / "map.onnx")
     assert not list(tmp_path.iterdir())

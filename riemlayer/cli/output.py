@@ -67,19 +67,19 @@ class Output(Options):
                     write_scene(path, result.scene())
 
 
-def check_target(out: Path, force: bool, *inputs: Path | None) -> None:
+def check_target(out: Path, force: bool, *inputs: Path | None, option: str = "--out") -> None:
     """Refuses a file that is an input, exists, or has no folder to be in."""
     for path in inputs:
         if path is not None and path.exists() and out.exists() and path.samefile(out):
-            raise UserError(f"--out {out} is an input, which is never written to; name another")
+            raise UserError(f"{option} {out} is an input, which is never written to; name another")
     if out.is_dir():
-        raise UserError(f"--out {out} is a folder; name a file in it")
+        raise UserError(f"{option} {out} is a folder; name a file in it")
     if out.exists() and not force:
-        raise UserError(f"--out {out} exists; name another file, or replace it with --force")
+        raise UserError(f"{option} {out} exists; name another file, or replace it with --force")
     if not out.absolute().parent.is_dir():
-        raise UserError(f"--out {out}: its folder does not exist; make it with mkdir -p")
+        raise UserError(f"{option} {out}: its folder does not exist; make it with mkdir -p")
     if not os.access(out.absolute().parent, os.W_OK):
-        raise UserError(f"--out {out}: its folder may not be written to; name another")
+        raise UserError(f"{option} {out}: its folder may not be written to; name another")
 
 
 @contextmanager
