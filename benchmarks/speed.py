@@ -137,7 +137,7 @@ class Bench:
         yield Row(what, seconds, against=ocnn, faster={OCNN: 4.0})
 
     def maps(self, warm_on_targets: float, warm: float) -> Iterator[Row]:
-        """Log and Exp from one source, and Log along all edges of a graph."""
+        """Log and Exp from one source, Log along all edges of a graph, and the layers' record."""
         sizes, points = self.sizes, self.points
         seconds = self.time(tasks.log(self.field, points, sizes.targets))
         what = f"Log from one source to {sizes.targets:,} points"
@@ -154,6 +154,10 @@ class Bench:
         what = f"{tasks.NEIGHBOURS}-neighbour log edges of all points ({pairs:,} pairs)"
         against, faster = {name: warm * sizes.points}, {name: 100.0}
         yield Row(what, seconds, 1.5, memory, 1500, against, faster)
+        seconds = self.time(tasks.record(self.field, points), min(3, sizes.repeats))
+        memory = self.memory("record", sizes.points)
+        what = f"`local_geometry` of {sizes.points:,} points, k={tasks.NEIGHBOURS}"
+        yield Row(what, seconds, 2.0, memory, 1500)
 
     def training(self) -> Iterator[Row]:
         """Forward, backward and optimiser on one core."""

@@ -23,6 +23,7 @@ from riemlayer.config import FieldConfig
 from riemlayer.field import bounding_cubes
 from riemlayer.losses import LossWeights, Truth, explog_losses
 from riemlayer.octree import build_octree, knn
+from riemlayer.ops import local_geometry
 
 Run = Callable[[], Any]
 NEIGHBOURS = 16
@@ -85,6 +86,12 @@ def edges(field: ExpLogField, points: Tensor) -> Run:
     return run
 
 
+def record(field: ExpLogField, points: Tensor) -> Run:
+    """`local_geometry` of a cloud that is encoded: what feeds the layers of `riemlayer.nn`."""
+    surface = field.encode(points)
+    return lambda: local_geometry(surface, min(NEIGHBOURS, len(points) - 1))
+
+
 def neighbours(points: Tensor) -> Tensor:
     """Indices (N, 16) of the nearest points of each point of a cloud, its own first."""
     batch = torch.zeros(len(points), dtype=torch.long)
@@ -134,7 +141,7 @@ def tangent_vectors(p: Tensor, count: int, radius: float) -> Tensor:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Peak memory of one task.")
-    parser.add_argument("task", choices=("encode", "edges"))
+    parser.add_argument("task", choices=("encode", "edges", "record"))
     parser.add_argument("--weights", default="base")
     parser.add_argument("--points", type=int, default=15_000, help="of each cloud")
     parser.add_argument("--clouds", type=int, default=1, help="to encode in one packed batch")
@@ -145,7 +152,8 @@ def main() -> None:
         if options.task == "encode":
             encode(field, options.clouds, options.points)()
         else:
-            edges(field, torus(options.points))()
+            task = edges if options.task == "edges" else record
+            task(field, torus(options.points))()
     print(json.dumps({"megabytes": memory("VmHWM") - before}))
 
 
