@@ -231,15 +231,20 @@ def load_field(weights: str, device: str) -> ExpLogField:
         torch.empty(0, device=where)
     except (RuntimeError, AssertionError) as error:
         raise UserError(f"--device {device} cannot be used here: {str(error)[:200]}") from error
-    known = (Path(__file__).parents[1] / "weights" / f"{weights}.safetensors").is_file()
-    if not (known or Path(weights).is_dir() or weights.count("/") == 1):
-        raise UserError(
-            f"--weights must be `base`, a folder by save_pretrained or a hub id, got {weights}"
-        )
+    check_weights(weights, "--weights")
     try:
         return ExpLogField.from_pretrained(weights).to(where).requires_grad_(False)
     except Exception as error:  # the hub's errors are of many kinds
         raise UserError(f"--weights {weights}: {error}") from error
+
+
+def check_weights(weights: str, option: str) -> None:
+    """Refuses what can be neither packaged nor a folder nor a hub id, before anyone is asked."""
+    packaged = Path(__file__).parents[1] / "weights" / f"{weights}.safetensors"
+    if not (packaged.is_file() or Path(weights).is_dir() or weights.count("/") == 1):
+        raise UserError(
+            f"{option} must be `base`, a folder by save_pretrained or a hub id, got {weights}"
+        )
 
 
 def coordinates(text: str, option: str) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -14,6 +15,7 @@ import typer
 
 from riemlayer.cli.command import Answer, command
 from riemlayer.cli.errors import UserError
+from riemlayer.cli.loaded import check_weights
 from riemlayer.cli.options import Weights
 from riemlayer.cli.output import whole_file
 
@@ -133,7 +135,7 @@ def pretrain(
         path.write_text(yaml.safe_dump(settings, sort_keys=False), "utf-8")
     resumed = (out / "last.ckpt").is_file()
     go_on = ["--ckpt_path", str(out / "last.ckpt")] if resumed else []
-    with stdout_to_stderr():
+    with library_run():
         cli.main(["fit", "--config", str(out / "pretrain.yaml"), *flags, *go_on])
     weights = out / "average"
     facts = {"out": str(out), "weights": str(weights), "checkpoint": str(out / "last.ckpt")}
@@ -165,8 +167,6 @@ def adapt(
     start_from: str | None,
 ) -> None:
     """Puts what the user said into a configuration."""
-    import torch
-
     from riemlayer.config import FieldConfig
 
     try:
@@ -176,6 +176,7 @@ def adapt(
     trainer = settings["trainer"]
     settings["model"] |= {"preset": preset}
     if start_from is not None:
+        check_weights(start_from, "--start-from")
         settings["model"]["start_from"] = start_from
     settings["data"] |= {"roots": folders, "validation": held_out(folders)}
     if steps is not None:
@@ -183,9 +184,8 @@ def adapt(
     most = trainer.get("max_steps", -1)
     if most > 0:
         trainer["val_check_interval"] = min(trainer.get("val_check_interval", 500), most)
-    if not torch.cpu._is_avx512_bf16_supported() and not torch.cuda.is_available():
-        trainer["precision"] = "32-true"  # the processor would only emulate bfloat16
-    trainer["accelerator"] = "gpu" if torch.cuda.is_available() else "cpu"
+    trainer |= {"precision": precision(), "accelerator": accelerator()}
+    trainer.setdefault("enable_progress_bar", sys.stderr.isatty())
     trainer["default_root_dir"] = str(out)
     for callback in trainer.get("callbacks") or ():
         own = callback.setdefault("init_args", {})
@@ -194,6 +194,21 @@ def adapt(
             own["every_n_train_steps"] = min(own.get("every_n_train_steps", 250), max(most, 1))
         if "export" in own:
             own |= {"export": str(out / "average")}
+
+
+def accelerator() -> str:
+    """Lightning's name of what to train on."""
+    import torch
+
+    return "gpu" if torch.cuda.is_available() else "cpu"
+
+
+def precision() -> str:
+    """bfloat16 where the machine has it: elsewhere it would only be emulated."""
+    import torch
+
+    native = torch.cuda.is_available() or torch.cpu._is_avx512_bf16_supported()
+    return "bf16-mixed" if native else "32-true"
 
 
 def held_out(folders: list[str]) -> float:
@@ -212,10 +227,17 @@ def held_out(folders: list[str]) -> float:
 
 
 @contextlib.contextmanager
-def stdout_to_stderr() -> Iterator[None]:
-    """What libraries print is no answer of ours."""
-    with contextlib.redirect_stdout(sys.stderr):
-        yield
+def library_run() -> Iterator[None]:
+    """What libraries print is no answer of ours, and being stopped is no success."""
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    except SystemExit as end:
+        if isinstance(end.__context__, KeyboardInterrupt):
+            raise SystemExit(128 + signal.SIGINT) from end
+        if end.code is None:  # Lightning, after SIGTERM
+            raise SystemExit(128 + signal.SIGTERM) from end
+        raise
 
 
 def tables(
@@ -247,7 +269,7 @@ def tables(
         arguments += [] if value is None else [f"--{name}", str(value)]
     arguments += ["--fast"] * fast + ["--no-figures"] * (not figures)
     try:
-        with stdout_to_stderr():
+        with library_run():
             program.main(arguments)
     except SystemExit as error:
         if isinstance(error.code, str):

@@ -62,6 +62,18 @@ def well(run):
     return call
 
 
+@pytest.fixture
+def refused():
+    """Demands that a call ended with 2, and a last line that has these words."""
+
+    def check(done: Ran, *words: str) -> None:
+        line = done.stderr.splitlines()[-1]
+        assert done.code == 2 and line.startswith("riemlayer "), (done.code, done.stderr)
+        assert all(word in line for word in words), line
+
+    return check
+
+
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory) -> Path:
     """Folder of a field with random weights."""

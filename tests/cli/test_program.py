@@ -32,7 +32,9 @@ def plain(text: str) -> str:
 
 
 def test_every_subcommand_of_the_issue_is_there():
-    wanted = "exp log geodesic stitch decal mean view prepare pretrain tables bench info export"
+    wanted = (
+        "exp log geodesic stitch decal mean view prepare pretrain finetune tables bench info export"
+    )
     assert {*wanted.split()} <= {*COMMANDS}
 
 

@@ -1,101 +1,16 @@
-"""`prepare`, `pretrain`, `tables`, `export`, `info` and `bench`."""
+"""`pretrain`, `finetune`, `export` and `tables`."""
 
 import json
+import sys
 
-import numpy as np
 import pytest
 import torch
 from references import fibonacci_sphere
 
 from riemlayer import ExpLogField
+from riemlayer.cli.training import library_run
 from riemlayer.data.closed_form import Sphere
-from riemlayer.data.prepare import Report
 from riemlayer.data.sample_file import write_sample
-
-
-def refused(done, *words):
-    assert done.code == 2 and done.stderr.splitlines()[-1].startswith("riemlayer ")
-    assert all(word in done.stderr.splitlines()[-1] for word in words), done.stderr
-
-
-# prepare
-
-
-@pytest.fixture
-def asked(monkeypatch):
-    """What the library's preparation was called with; nothing is prepared."""
-    calls = []
-
-    def record(*arguments):
-        calls.append(arguments)
-        return Report(3, 1, 0)
-
-    for name in ("prepare_procedural", "prepare_meshes"):
-        monkeypatch.setattr(f"riemlayer.data.prepare.{name}", record)
-    return calls
-
-
-def test_procedural_shapes_are_asked_of_the_library(well, asked, tmp_path):
-    words = ["prepare", "--procedural", 4, "--seed", 7, "-o", tmp_path / "out", "--workers", 3]
-    facts = well(*words, "--json").facts
-    assert asked == [(4, 7, tmp_path / "out", 3)]
-    assert facts == {"out": str(tmp_path / "out"), "written": 3, "skipped": 1, "failed": 0}
-
-
-def test_folders_and_files_of_meshes_are_asked_of_the_library(well, asked, shapes, tmp_path):
-    done = well("prepare", shapes, shapes / "ball.obj", "-o", tmp_path / "out")
-    ((paths, out, workers),) = asked
-    assert sorted(x.name for x in paths) == ["ball.obj", "ball.obj", "ball.ply"]
-    assert (out, workers) == (tmp_path / "out", 2)
-    assert "3 written, 1 already there" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        ([], "--procedural"),
-        (["--procedural", "0"], "--procedural"),
-        (["--procedural", "1", "IN"], "--procedural"),
-        (["NONE"], "none"),
-        (["EMPTY"], "none below"),
-        (["IN", "--workers", "0"], "--workers"),
-    ],
-)
-def test_what_cannot_be_prepared(run, asked, shapes, tmp_path, words, named):
-    (tmp_path / "empty").mkdir()
-    names = {"IN": shapes, "NONE": tmp_path / "none", "EMPTY": tmp_path / "empty"}
-    done = run("prepare", *(names.get(x, x) for x in words), "-o", tmp_path / "out")
-    refused(done, named)
-    assert not asked and not (tmp_path / "out").exists()
-
-
-def test_meshes_are_never_written_to(run, asked, shapes, tmp_path):
-    refused(run("prepare", shapes, "-o", shapes), "--out", "never written to")
-    (tmp_path / "file").write_text("mine")
-    refused(run("prepare", shapes, "-o", tmp_path / "file"), "--out", "file")
-    assert not asked
-
-
-def test_bad_meshes_are_named(run, tmp_path):
-    """The real thing, workers and all."""
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "bad.obj").write_text("v 0 0 0\nv 1 one 1\nf 1 2 3\n")
-    done = run("prepare", tmp_path / "in", "-o", tmp_path / "out", "--workers", 1)
-    refused(done, "failures.jsonl", "bad")
-    assert [x.name for x in (tmp_path / "out").iterdir()] == ["failures.jsonl"]
-
-
-@pytest.mark.slow
-def test_a_mesh_becomes_a_sample(well, shapes, tmp_path):
-    from riemlayer.data.dataset import read_sample
-
-    facts = well("prepare", shapes / "ball.ply", "-o", tmp_path, "--workers", 1, "--json").facts
-    assert facts["written"] == 1
-    (sample,) = tmp_path.glob("*.safetensors")
-    assert read_sample(sample)["v"].shape[-1] == 3
-
-
-# pretrain and export
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +35,9 @@ def samples(tmp_path_factory):
 
 @pytest.mark.filterwarnings("ignore::Warning:lightning")
 @pytest.mark.filterwarnings("ignore::Warning:jsonargparse")
-def test_training_goes_on_and_its_weights_can_be_used(well, run, samples, shapes, tmp_path):
+def test_training_goes_on_and_its_weights_can_be_used(
+    well, run, samples, shapes, tmp_path, refused
+):
     pytest.importorskip("lightning")
     words = ["pretrain", samples, "-o", tmp_path / "run", "--preset", "tiny", "--json"]
     small = [
@@ -149,10 +66,48 @@ def test_training_goes_on_and_its_weights_can_be_used(well, run, samples, shapes
     refused(run("export", first["checkpoint"], "-o", out), "--out", "exists")
 
 
+@pytest.mark.filterwarnings("ignore::Warning:lightning")
+@pytest.mark.parametrize("supervised", [True, False])
+def test_fine_tuning_moves_the_weights_and_goes_on(
+    well, samples, shapes, tiny, tmp_path, supervised
+):
+    pytest.importorskip("lightning")
+    given = [samples] if supervised else [shapes / "cloud.npz", "--self-supervised"]
+    words = ["finetune", *given, "-o", tmp_path / "run", "--start-from", tiny, "--json"]
+    words += ["--sources", 2, "--vectors", 8, "--unfreeze-at", 1]
+    first = well(*words, "--steps", 2).facts
+    assert (first["steps"], first["resumed"]) == (2, False)
+    assert well(*words, "--steps", 3).facts["resumed"]
+    before, after = (ExpLogField.from_pretrained(x) for x in (tiny, first["weights"]))
+    pairs = zip(before.parameters(), after.parameters(), strict=True)
+    assert any(not torch.equal(x, y) for x, y in pairs)
+    assert sorted(x.name for x in (tmp_path / "run").iterdir()) == ["average", "last.ckpt"]
+
+
 @pytest.mark.parametrize(
     ("words", "named"),
     [
         (["NONE"], "riemlayer prepare"),
+        (["NONE", "--self-supervised"], "none"),
+        (["EMPTY", "--self-supervised"], "found none"),
+        (["SAMPLES", "--keep", "-1"], "--keep"),
+        (["SAMPLES", "--start-from", "nothing"], "--start-from"),
+        (["SAMPLES", "--start-from", "EMPTY"], "--start-from"),
+    ],
+)
+def test_what_cannot_be_tuned_on(run, samples, tmp_path, words, named, refused):
+    pytest.importorskip("lightning")
+    (tmp_path / "empty").mkdir()
+    names = {"SAMPLES": samples, "NONE": tmp_path / "none", "EMPTY": tmp_path / "empty"}
+    refused(run("finetune", *(names.get(x, x) for x in words), "-o", tmp_path / "out"), named)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["NONE"], "riemlayer prepare"),
+        (["SAMPLES", "--start-from", "nothing"], "--start-from"),
         (["SAMPLES", "--preset", "big"], "--preset"),
         (["SAMPLES", "--steps", "0"], "--steps"),
         (["SAMPLES", "--config", "NONE"], "none"),
@@ -161,7 +116,7 @@ def test_training_goes_on_and_its_weights_can_be_used(well, run, samples, shapes
         ([], "DIR"),
     ],
 )
-def test_what_cannot_be_trained_on(run, samples, tmp_path, words, named):
+def test_what_cannot_be_trained_on(run, samples, tmp_path, words, named, refused):
     pytest.importorskip("lightning")
     (tmp_path / "bad.yaml").write_text("a: [")
     (tmp_path / "list.yaml").write_text("- 1")
@@ -171,7 +126,22 @@ def test_what_cannot_be_trained_on(run, samples, tmp_path, words, named):
     assert not (tmp_path / "out").exists()
 
 
-def test_what_cannot_be_exported(run, tmp_path):
+@pytest.mark.parametrize(
+    ("raised", "code"), [("KeyboardInterrupt", 130), ("SIGTERM", 143), ("usage", 2)]
+)
+def test_a_training_that_was_stopped_is_no_success(raised, code):
+    """As Lightning ends: by exit(1) after Ctrl-C, by a SystemExit without code after SIGTERM."""
+    with pytest.raises(SystemExit) as end, library_run():
+        try:
+            raise KeyboardInterrupt if raised == "KeyboardInterrupt" else ValueError
+        except KeyboardInterrupt:
+            sys.exit(1)
+        except ValueError:
+            raise SystemExit(2 if raised == "usage" else None) from None
+    assert end.value.code == code
+
+
+def test_what_cannot_be_exported(run, tmp_path, refused):
     pytest.importorskip("lightning")
     (tmp_path / "cut.ckpt").write_bytes(b"PK\x03\x04")
     torch.save({"other": 1}, tmp_path / "other.ckpt")
@@ -208,57 +178,6 @@ def test_tables_are_asked_of_the_library(well, monkeypatch, tmp_path):
     assert asked == [*wanted, "--fast", "--no-figures"]
 
 
-def test_what_has_no_tables(run, tmp_path):
+def test_what_has_no_tables(run, tmp_path, refused):
     refused(run("tables", tmp_path / "none", "-o", tmp_path / "out"), "none")
     refused(run("tables", "--methods", "magic", tmp_path, "-o", tmp_path / "o"), "riemlayer tables")
-
-
-# info and bench
-
-
-def test_info_tells_the_card_the_versions_and_the_shape(well, shapes, ball):
-    facts = well("info", shapes / "ball.ply", "--json").facts
-    card = json.loads((_weights() / "base.json").read_text())
-    assert facts["card"]["parameters"] == card["training"]["parameters"]
-    assert facts["card"]["licence"] == card["licence"]
-    assert facts["versions"]["torch"] == torch.__version__
-    assert facts["extras"]["viz"] == []
-    shape = facts["shape"]
-    assert (shape["kind"], shape["points"], shape["faces"]) == ("mesh", 642, 1280)
-    assert shape["longest_side"] == pytest.approx(10) and shape["low"][0] == pytest.approx(95)
-    assert shape["trained_radius"] == pytest.approx(2.5)
-    assert len(ball.vertices) == 642
-    text = well("info", shapes / "ball.ply").stdout
-    assert "riemlayer: " in text and "ball.ply" in text and card["licence"] in text
-
-
-def _weights():
-    from pathlib import Path
-
-    import riemlayer
-
-    return Path(riemlayer.__file__).parent / "weights"
-
-
-def test_info_names_what_an_extra_lacks(well, monkeypatch):
-    from importlib import metadata
-
-    version = metadata.version
-
-    def without(name):
-        if name == "pyvista":
-            raise metadata.PackageNotFoundError(name)
-        return version(name)
-
-    monkeypatch.setattr(metadata, "version", without)
-    assert 'viz: lacks pyvista: pip install "riemlayer[viz]"' in well("info").stdout
-
-
-@pytest.mark.parametrize("shape", [None, "cloud.npz"])
-def test_bench_times_encode_log_and_exp(well, shapes, tiny, shape):
-    given = [] if shape is None else [shapes / shape]
-    words = ["bench", *given, "--points", 500, "--repeats", 2, "--weights", tiny, "--json"]
-    facts = well(*words, "--threads", 1).facts
-    assert len(facts["milliseconds"]) == 3 and min(facts["milliseconds"].values()) > 0
-    assert facts["points"] == (600 if shape else 500)
-    assert np.isfinite(list(facts["milliseconds"].values())).all()
