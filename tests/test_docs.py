@@ -28,6 +28,8 @@ PAGES = sorted(DOCS.rglob("*.md"))
 FENCE = re.compile(r"^( *)```(\w+)?([^\n]*)\n(.*?)^\1```", re.S | re.M)
 LANGUAGES = ("python", "sh", "text", "json", "yaml")
 MOST_NOT_RUN = 8
+WIDEST = 94
+"""Columns of a block of code that the site shows without scrolling."""
 
 
 class Block(NamedTuple):
@@ -190,6 +192,11 @@ def test_few_blocks_are_not_run():
     python = [block for block in ALL if block.language == "python"]
     assert len(python) > 30
     assert len(STILL) <= MOST_NOT_RUN
+
+
+def test_code_is_no_wider_than_the_page():
+    wide = [(b.where, x) for b in ALL for x in b.code.splitlines() if len(x) > WIDEST]
+    assert not wide
 
 
 def test_files_that_the_pages_name_exist():
