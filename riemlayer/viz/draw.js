@@ -62,10 +62,11 @@ const MARK_VERTEX = `#version 300 es
   }`;
 const FLAT_FRAGMENT = `#version 300 es
   precision highp float;
-  uniform vec3 ink; uniform bool disc; out vec4 colour;
+  uniform vec3 ink; uniform bool disc; uniform float rim; out vec4 colour;
   void main() {
-    if (disc && length(gl_PointCoord - 0.5) > 0.5) discard;
-    colour = vec4(ink, 1.0);
+    float r = disc ? length(gl_PointCoord - 0.5) : 0.0;
+    if (r > 0.5) discard;
+    colour = vec4(r > rim ? vec3(1) : ink, 1.0);
   }`;
 
 function program(vertex, fragment) {
@@ -143,7 +144,7 @@ function upload(d) {
     made,
     surface: uploadSurface(d),
     lines: [uploadLines(d.reference, looks[0]), uploadLines(d.paths, looks[1])],
-    marks: [[d.dots, { pixels: 1.8, ink: "dot" }], [d.p, { pixels: 11, ink: "black" }]]
+    marks: [[d.dots, { pixels: 2, ink: "dot", rim: 1 }], [d.p, { pixels: 13, ink: "black", rim: 0.38 }]]
       .filter(([index]) => index !== null).map(([index, look]) => uploadMarks(index, look)),
   };
   gl.bindVertexArray(null);
@@ -174,12 +175,12 @@ function drawPanel(d, eye, size, ratio) {
   if (s.indices) gl.drawElements(gl.TRIANGLES, s.indices, gl.UNSIGNED_INT, 0);
   else gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, s.discs);
   for (const line of d.lines) {
-    uniforms(programs.line, { ...eye, screen: size, width: line.width * ratio, lift: line.lift, ink: c[line.ink], disc: false });
+    uniforms(programs.line, { ...eye, screen: size, width: line.width * ratio, lift: line.lift, ink: c[line.ink], disc: false, rim: 1 });
     gl.bindVertexArray(line.vao);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, line.count);
   }
   for (const mark of d.marks) {
-    uniforms(programs.mark, { ...eye, pixels: mark.pixels * ratio, ink: c[mark.ink], disc: true });
+    uniforms(programs.mark, { ...eye, pixels: Math.max(mark.pixels * ratio, 1), ink: c[mark.ink], disc: true, rim: mark.rim });
     gl.bindVertexArray(mark.vao);
     gl.drawArrays(gl.POINTS, 0, mark.count);
   }

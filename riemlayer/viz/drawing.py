@@ -97,7 +97,7 @@ class Drawing:
             if put["log"] is not None or put["colours"] is not None:
                 raise ValueError("`values` must stand alone, got `log` or `colours` beside them")
             put |= self._numbers(put["values"], put["valid"])
-            put["slope"] = canvas.value_slope(put["values"], put["valid"] > 0)
+            put["slope"] = canvas.value_slope(put["values"], put["valid"] >= 0.5)
         if put["log"] is not None:
             whole = np.isfinite(put["log"]).all(1)
             if not whole.all():
@@ -132,9 +132,8 @@ class Drawing:
 
     def _numbers(self, values: Array, valid: Array | None) -> dict[str, Any]:
         """Values without holes, where they are valid, and the ends of the colour bar."""
-        drawn = np.isfinite(values)
-        if valid is not None:
-            drawn &= valid >= 0.5
+        valid = np.isfinite(values) * (1.0 if valid is None else valid)
+        drawn = valid >= 0.5
         limits = self.limits
         if limits is None:
             shown = values[drawn] if drawn.any() else np.zeros(1)
@@ -142,8 +141,8 @@ class Drawing:
         low, high = map(float, limits)
         if not low <= high:
             raise ValueError(f"`limits` must be (low, high), got {limits}")
-        values = np.where(drawn, values, low)
-        return {"values": values, "valid": drawn.astype(float), "limits": (low, high)}
+        values = np.where(np.isfinite(values), values, low)
+        return {"values": values, "valid": valid, "limits": (low, high)}
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array | None:

@@ -17,17 +17,24 @@ function zoom(factor) {
 
 // ---- frames: all panels share the camera
 const focal = (w, h) => FOCAL * Math.min(1, w / h);
+function columns() {  // as many as leave the panels largest
+  const n = shown.length, w = canvas.clientWidth, h = canvas.clientHeight;
+  const side = c => Math.min(w / c, h / Math.ceil(n / c));
+  return [...Array(n).keys()].map(i => i + 1).reduce((best, c) => side(c) > side(best) ? c : best);
+}
 function draw() {
-  const ratio = Math.min(devicePixelRatio || 1, 2), h = Math.round(canvas.clientHeight * ratio);
-  const whole = Math.round(canvas.clientWidth * ratio), w = Math.floor(whole / shown.length), r = camera.rows;
-  if (canvas.width !== whole || canvas.height !== h) [canvas.width, canvas.height] = [whole, h];
+  const ratio = Math.min(devicePixelRatio || 1, 2), across = columns(), r = camera.rows;
+  const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+  const w = Math.floor(width / across), h = Math.floor(height / Math.ceil(shown.length / across));
+  if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+  document.getElementById("panels").style.gridTemplateColumns = `repeat(${across}, 1fr)`;
   gl.clearColor(1, 1, 1, 1);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   gl.enable(gl.DEPTH_TEST);
-  const turn = [0, 1, 2].flatMap(i => [r[0][i], r[1][i], r[2][i]]);
+  const turn = [0, 1, 2].flatMap(i => [r[0][i], r[1][i], r[2][i]]), thin = ratio * Math.min(1, Math.min(w, h) / ratio / 400);
   shown.forEach((i, panel) => {
-    gl.viewport(panel * w, 0, w, h);
-    drawPanel(drawings[i], { turn, centre, lens: [camera.distance, extent, focal(w, h), w / h] }, [w, h], ratio);
+    gl.viewport(panel % across * w, height - (Math.floor(panel / across) + 1) * h, w, h);
+    drawPanel(drawings[i], { turn, centre, lens: [camera.distance, extent, focal(w, h), w / h] }, [w, h], thin);
   });
   document.body.dataset.frames = ++frames;
 }
@@ -80,7 +87,8 @@ function addBar(cell, d) {
   const bar = element("div", cell), strip = element("i", bar), ticks = element("span", bar);
   bar.className = "bar";
   strip.style.background = `linear-gradient(to right, ${scene.bar.join(", ")})`;
-  for (const tick of d.ticks) element("small", ticks, tick);
+  const ends = [d.ticks[0], d.ticks[d.ticks.length - 1]];
+  for (const tick of shown.length > 3 ? ends : d.ticks) element("small", ticks, tick);
   element("em", bar, d.label);
 }
 function show(list) {

@@ -15,6 +15,8 @@ PLAIN = (0.80, 0.80, 0.82)
 """Surface out of reach of the map."""
 ORANGE, BLACK = (0.835, 0.369, 0.0), (0.1, 0.1, 0.1)
 """Geodesics: the answer, and the reference beside it."""
+WHITE = (1.0, 1.0, 1.0)
+"""Rim of the source, which must be seen on dark values too."""
 DOT = (0.35, 0.35, 0.4)
 """Marked points, such as the cloud that stands for a mesh."""
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from riemlayer.viz.drawing import Drawing
-from riemlayer.viz.palette import BLACK, DOT, ORANGE
+from riemlayer.viz.palette import BLACK, DOT, ORANGE, WHITE
 from riemlayer.viz.shaded import surface_actor
 from riemlayer.viz.sheet import compose
-from riemlayer.viz.view import View
+from riemlayer.viz.view import View, unit
 
 Array = np.ndarray
 
@@ -104,7 +104,9 @@ def _add_paths(plotter: Any, drawing: Drawing, lift: Array) -> None:
         size = 3.0 * SAMPLES
         plotter.add_mesh(dots, color=DOT, style="points", point_size=size, lighting=False)
     if drawing.p is not None:
-        _add_balls(plotter, drawing.p[None] + lift, 3 * thick, BLACK)
+        near = unit(lift) * thick  # the rim of the source stands a little behind it
+        _add_balls(plotter, drawing.p[None] + lift, 3.8 * thick, WHITE)
+        _add_balls(plotter, drawing.p[None] + lift + 2 * near, 3 * thick, BLACK)
 
 
 def _add_balls(plotter: Any, centres: Array, radius: float, colour: tuple[float, ...]) -> None:
@@ -112,7 +114,8 @@ def _add_balls(plotter: Any, centres: Array, radius: float, colour: tuple[float,
 
     ball = pyvista.Sphere(radius=radius, theta_resolution=16, phi_resolution=16)
     balls = pyvista.PolyData(centres).glyph(orient=False, scale=False, geom=ball)
-    plotter.add_mesh(balls, color=colour, smooth_shading=True, **LIGHT)
+    light = {"lighting": False} if colour == WHITE else LIGHT
+    plotter.add_mesh(balls, color=colour, smooth_shading=True, **light)
 
 
 def _aim(camera: Any, view: View, eye: Array) -> None:

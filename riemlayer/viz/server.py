@@ -6,6 +6,7 @@ import json
 import threading
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Self
@@ -152,7 +153,7 @@ class Viewer:
             draw("checkerboard", log=flat, valid=trust),
             draw("polar grid", log=flat, valid=trust, texture="polar"),
             draw("Exp", paths=fan),
-            draw("validity", values=trust, limits=(0, 1), label="trust"),
+            draw("trust", values=trust, limits=(0, 1), label="trust"),
         ]
 
     def answer(self, query: str) -> dict[str, Any]:
@@ -229,8 +230,9 @@ class Viewer:
                 self.send_header("Content-Type", "text/html" if html else "application/json")
                 self.send_header("Content-Length", str(len(body)))
                 self.send_header("Cache-Control", "no-store")
-                self.end_headers()
-                self.wfile.write(body)
+                with suppress(ConnectionError):  # the page was closed meanwhile
+                    self.end_headers()
+                    self.wfile.write(body)
 
             def log_message(self, format: str, *args: object) -> None:
                 """Requests are not worth a line."""

@@ -6,8 +6,8 @@ const STILL = 4;  // pixels within which a press counts as a click
 // ---- where the eye's ray through a pixel meets the shape: {at} on a mesh, {point} of a cloud
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 function ray(x, y) {
-  const h = canvas.clientHeight, w = canvas.clientWidth / shown.length, f = focal(w, h), r = camera.rows;
-  const u = (2 * (x % w) / w - 1) * w / h / f, v = (1 - 2 * y / h) / f;
+  const across = columns(), w = canvas.clientWidth / across, h = canvas.clientHeight / Math.ceil(shown.length / across);
+  const f = focal(w, h), r = camera.rows, u = (2 * (x % w) / w - 1) * w / h / f, v = (1 - 2 * (y % h) / h) / f;
   const along = [0, 1, 2].map(i => u * r[0][i] + v * r[1][i] - r[2][i]);
   return { from: centre.map((c, i) => c + camera.distance * r[2][i]), along };
 }
