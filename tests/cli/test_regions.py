@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from riemlayer import ExpLogField
 from riemlayer.cli.decal import seen_from_inside
 from riemlayer.cli.loaded import Encoding
 from riemlayer.ops import decal, frechet_mean, stitch_log, tangent_pca
@@ -75,15 +76,17 @@ def test_a_decal_on_a_mesh_is_seen_from_where_its_faces_look(
     assert np.cross(slope[0], slope[1]) @ outward > 0
 
 
-def test_the_colours_of_a_decal_are_the_picture_s(well, shapes, tiny, tmp_path):
+def test_the_colours_of_a_decal_are_the_picture_s(well, shapes, tmp_path):
     image = pytest.importorskip("PIL.Image")
+    ExpLogField.from_preset("tiny").save_pretrained(tmp_path / "prior")  # near the prior: it covers
     import trimesh
 
     picture = np.zeros((10, 10, 3), np.uint8)
     picture[:5], picture[5:] = (255, 0, 0), (0, 0, 255)
     image.fromarray(picture).save(tmp_path / "p.png")
     out = tmp_path / "d.ply"
-    words = ["decal", shapes / "cloud.npz", "--source", 3, "--size", 0.6, "--weights", tiny]
+    words = ["decal", shapes / "cloud.npz", "--source", 3, "--size", 0.6]
+    words += ["--weights", tmp_path / "prior"]
     well(*words, "--image", tmp_path / "p.png", "-o", out)
     raw = trimesh.load(out).metadata["_ply_raw"]["vertex"]["data"]
     inside = (raw["s"] >= 0) & (raw["s"] <= 1) & (raw["t"] >= 0) & (raw["t"] <= 1)
