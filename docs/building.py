@@ -3,7 +3,7 @@
 In a page, on a line of its own,
 
     <!-- README NAME -->          the README's block NAME
-    <!-- results FILE -->         benchmarks/results/FILE, Markdown
+    <!-- results PATTERN -->      benchmarks/results/PATTERN, Markdown
     <!-- against METHOD -->       benchmarks/results/tables.json: riemlayer beside that method
     <!-- api MODULE -->           the docstrings of all that MODULE exports
 
@@ -55,10 +55,13 @@ def readme(name: str) -> str:
     return block[1]
 
 
-def results(name: str) -> str:
-    """A Markdown file of the benchmarks, its headings, but the title, two levels down."""
-    text = re.sub(r"\A# .*\n", "", (RESULTS / name).read_text("utf-8"))
-    return re.sub(r"^#", "###", text, flags=re.M)
+def results(pattern: str) -> str:
+    """Markdown files of the benchmarks, their headings, but the title, two levels down."""
+    paths = sorted(RESULTS.glob(pattern))
+    if not paths:
+        raise ValueError(f"benchmarks/results must hold {pattern}, found none")
+    texts = [re.sub(r"\A# .*\n", "", path.read_text("utf-8")) for path in paths]
+    return re.sub(r"^#", "###", "\n\n".join(texts), flags=re.M)
 
 
 def against(method: str) -> str:

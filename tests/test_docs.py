@@ -9,6 +9,7 @@ of the project are looked for in their sources.
 from __future__ import annotations
 
 import ast
+import json
 import re
 import shlex
 import tomllib
@@ -209,6 +210,66 @@ def test_files_that_the_pages_name_exist():
         if not (ROOT / path).exists()
     ]
     assert not missing
+
+
+@pytest.fixture(scope="module")
+def building():
+    """docs/building.py, which needs the extra docs."""
+    pytest.importorskip("mkdocstrings_handlers.python")
+    spec = util.spec_from_file_location("building", DOCS / "building.py")
+    assert spec is not None and spec.loader is not None
+    module = util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_comments_are_filled_in(building, page):
+    assert not re.search(r"^<!-- \w+ \S+ -->$", building.filled(page.read_text("utf-8")), re.M)
+
+
+@pytest.mark.parametrize("comment", ["README nothing", "results nothing.md", "against nothing"])
+def test_comments_that_name_nothing_stop_the_build(building, comment):
+    with pytest.raises((ValueError, KeyError)):
+        building.filled(f"<!-- {comment} -->")
+
+
+def test_a_rival_stands_beside_riemlayer_with_its_own_errors(building):
+    methods = json.loads((ROOT / "benchmarks/results/tables.json").read_text("utf-8"))["methods"]
+    rows = building.against("heat").splitlines()[2:]
+    for row in rows:
+        group, *cells = (cell.strip(" *") for cell in row.strip("|").split("|"))
+        pairs = zip(cells[::2], cells[1::2], ("angle", "log_end"), strict=True)
+        for ours, theirs, key in pairs:
+            for shown, method in ((ours, "base"), (theirs, "heat")):
+                exact = methods[method]["groups"][group]["r0.5"][key]
+                assert float(shown) == pytest.approx(
+                    exact, rel=0, abs=0.051 if key == "angle" else 6e-5
+                )
+
+
+def test_docstrings_become_what_the_parser_reads(building):
+    text = building.readable(
+        """One line.
+
+        Args:
+            p, v: (..., 3) points,
+                and vectors.
+            k: a number.
+
+        Raises:
+            TypeError, ValueError: nonsense.
+
+        Shapes: x (N,) -> y (N,)
+
+        >>> 1 + 1
+        2
+        """
+    )
+    assert "    p: (..., 3) points,\n        and vectors.\n    v: (..., 3) points," in text
+    assert "    TypeError: nonsense.\n    ValueError: nonsense." in text
+    assert "**Shapes** x" in text
+    assert "```pycon\n>>> 1 + 1\n2\n```" in text
 
 
 def test_every_page_is_in_the_navigation():
