@@ -194,7 +194,7 @@ def _around(
     inside = ((cell >= 0) & (cell < 1 << depth)).all(-1)
     x, y, z = (spread_bits(c) for c in cell.clamp(0, (1 << depth) - 1).unbind(-1))
     query = batch[:, None] << 3 * depth | x << 2 | y << 1 | z
-    at = torch.searchsorted(key, query).clamp_max(len(key) - 1)
+    at = torch.searchsorted(key, query.contiguous()).clamp_max(len(key) - 1)
     return torch.where(inside & (key[at] == query), at, len(key))
 
 

@@ -10,6 +10,9 @@ from torch import Tensor
 from riemlayer.numerics import weighted_rows
 from riemlayer.octree.build import HALF_WIDTH, Level
 
+PAIRS = 1 << 24
+"""Pairs of query and node compared at once: 64 MB of distances."""
+
 
 class Corners(NamedTuple):
     """The eight nodes around each query, and their trilinear weights."""
@@ -46,10 +49,10 @@ def corner_columns(level: Level, x: Tensor, batch: Tensor) -> tuple[Tensor, Tens
     return node, weight.flatten(0, 2) * (node < len(level))
 
 
-def nearest_node(level: Level, x: Tensor, batch: Tensor, chunk: int = 4096) -> Tensor:
+def nearest_node(level: Level, x: Tensor, batch: Tensor, chunk: int | None = None) -> Tensor:
     """Node (Q,) of the same shape whose centre is nearest to each query, by brute force."""
     centres, shape = level.centres().to(x.dtype), level.batch()
-    parts = []
+    parts, chunk = [], chunk or max(1, PAIRS // len(level))
     for xs, bs in zip(x.split(chunk), batch.split(chunk), strict=True):
         distance = torch.cdist(xs, centres)
         parts.append(distance.masked_fill(bs[:, None] != shape, torch.inf).argmin(-1))

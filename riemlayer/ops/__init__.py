@@ -11,6 +11,7 @@ from riemlayer.ops.means import (
     tangent_pca,
 )
 from riemlayer.ops.stitching import Charts, Stitched, stitch_log
+from riemlayer.ops.tiling import TiledSurface, encode_tiled
 
 __all__ = [
     "Charts",
@@ -19,7 +20,9 @@ __all__ = [
     "LocalGeometry",
     "Principal",
     "Stitched",
+    "TiledSurface",
     "decal",
+    "encode_tiled",
     "farthest_points",
     "frechet_mean",
     "kmeans",
