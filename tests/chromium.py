@@ -42,12 +42,13 @@ class Chromium:
     """
 
     def __init__(self, folder: Path, width: int = 800, height: int = 600) -> None:
+        program = find_chromium()
         ours, theirs = os.pipe(), os.pipe()  # commands to it, answers from it
         # it reads commands at descriptor 3 and writes answers at 4
         script = f'exec "$@" 3<&{ours[0]} 4>&{theirs[1]}'
         options = (*FLAGS, f"--user-data-dir={folder}/profile", f"--window-size={width},{height}")
         self._process = subprocess.Popen(
-            ["bash", "-c", script, "-", find_chromium(), *options, "about:blank"],
+            ["bash", "-c", script, "-", program, *options, "about:blank"],
             pass_fds=(ours[0], theirs[1]), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(ours[0])
