@@ -79,12 +79,12 @@ let pressed = null;
 canvas.addEventListener("pointerdown", e => { pressed = [e.clientX, e.clientY]; });
 canvas.addEventListener("pointerup", e => {
   const still = pressed && Math.hypot(e.clientX - pressed[0], e.clientY - pressed[1]) < STILL;
-  const where = still && fingers.size === 0 ? pick(e.clientX, e.clientY) : null;
+  const where = still && fingers.size === 0 ? pick(e.offsetX, e.offsetY) : null;
   if (where) ask(where);
 });
 grab = e => {
   if (!e.shiftKey) return false;
-  const where = pick(e.clientX, e.clientY);
+  const where = pick(e.offsetX, e.offsetY);
   if (where) ask(where);
   return true;
 };

@@ -17,7 +17,8 @@ from torch import Tensor
 from riemlayer import EncodedSurface, ExpLogField
 from riemlayer.viz import Viewer, serve, subdivide
 
-SIZE = 500
+SIZE, HEAD, FOOT = 500, 96, 36
+"""Of the square that is drawn on, and of the lines above and below it, in pixels."""
 
 
 def icosphere(rounds: int) -> tuple[np.ndarray, np.ndarray]:
@@ -165,11 +166,11 @@ def test_a_click_moves_the_picture_to_the_place_clicked(surface, tmp_path, mesh)
     )
     with (
         Viewer(surface, *shape, p=[0.0, -1.0, 0.0]) as viewer,
-        Chromium(tmp_path, SIZE, SIZE) as page,
+        Chromium(tmp_path, SIZE, HEAD + SIZE + FOOT) as page,
     ):
         page.open(viewer.url)
         before = page.screenshot()
-        page.drag((260, 270), (260, 270))
+        page.drag((260, HEAD + 270), (260, HEAD + 270))
         page.wait("document.body.dataset.source")
         after = page.screenshot()
         source = np.array([float(x) for x in page.run("document.body.dataset.source").split(",")])
@@ -182,10 +183,10 @@ def test_a_click_moves_the_picture_to_the_place_clicked(surface, tmp_path, mesh)
         closest = eye - (eye @ along) * along
         hit = closest - np.sqrt(1 - closest @ closest) * along
         assert np.linalg.norm(source - hit) < (0.02 if mesh else 0.1)
-        middle = (slice(220, 320), slice(210, 310))
+        middle = (slice(HEAD + 220, HEAD + 320), slice(210, 310))
         assert np.abs(after - before)[middle].max(-1).mean() > 30, "tiles came to the place clicked"
-        page.drag((5, 495), (5, 495))  # beside the shape: nothing to ask
-        page.drag((250, 250), (300, 250))  # a drag turns and asks nothing
+        page.drag((5, HEAD + 495), (5, HEAD + 495))  # beside the shape: nothing to ask
+        page.drag((250, HEAD + 250), (300, HEAD + 250))  # a drag turns and asks nothing
         asked = [url for url in page.requests if "drawings?" in url]
         assert len(asked) == 1 and page.errors == []
         assert np.abs(page.screenshot() - after).mean() > 1
