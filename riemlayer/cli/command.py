@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -92,8 +93,16 @@ _as_json: ContextVar[bool] = ContextVar("as_json", default=False)
 
 def announce(answer: Answer) -> None:
     """Prints an answer as the user wants it; by hand where the command does not end with it."""
-    text = json.dumps(answer.facts, allow_nan=False) if _as_json.get() else answer.text
-    typer.echo(text)
+    typer.echo(json.dumps(_strict(answer.facts)) if _as_json.get() else answer.text)
+
+
+def _strict(value: Any) -> Any:
+    """Plain values without NaN and infinity, which JSON does not have: null in their place."""
+    if isinstance(value, dict):
+        return {key: _strict(x) for key, x in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(x) for x in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def unwrapped(function: Callable) -> str:

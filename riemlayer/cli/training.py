@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import signal
 import sys
@@ -269,18 +270,14 @@ def tables(
         arguments += [] if value is None else [f"--{name}", str(value)]
     arguments += ["--fast"] * fast + ["--no-figures"] * (not figures)
     try:
-        with library_run():
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
             program.main(arguments)
     except SystemExit as error:
         if isinstance(error.code, str):
             raise UserError(error.code.removeprefix("riemlayer.tables: ")) from error
         raise
-    written = json.loads((out / "tables.json").read_text("utf-8"))
-    rows = {name: method["groups"] for name, method in written["methods"].items()}
-    text = f"{out}/tables.md, tables.json: {len(rows)} methods on {len(groups_of(rows))} groups"
-    return Answer({"out": str(out), "methods": rows}, text)
-
-
-def groups_of(rows: dict[str, dict]) -> set[str]:
-    """Names of all groups in the rows of all methods."""
-    return {group for row in rows.values() for group in row}
+    found = json.loads((out / "tables.json").read_text("utf-8"))["methods"]
+    rows = {name: method["groups"] for name, method in found.items()}
+    failed = {name: method["failed"] for name, method in found.items() if method["failed"]}
+    facts = {"out": str(out), "methods": rows, "failed": failed}
+    return Answer(facts, printed.getvalue().rstrip())

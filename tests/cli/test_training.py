@@ -1,6 +1,7 @@
 """`pretrain`, `finetune`, `export` and `tables`."""
 
 import json
+import math
 import sys
 
 import pytest
@@ -161,21 +162,22 @@ def test_what_cannot_be_exported(run, tmp_path, refused):
 
 def test_tables_are_asked_of_the_library(well, monkeypatch, tmp_path):
     asked = []
-    row = {"methods": {"base": {"groups": {"spheres": {"E_Exp": 0.1}}}}}
+    row = {"groups": {"spheres": {"E_Exp": 0.1, "E_angle": math.nan}}, "failed": {"s/a": "why"}}
 
     def record(arguments):
-        asked.extend(arguments)
+        asked.append(arguments)
         print("a table")
-        (tmp_path / "out").mkdir()
-        (tmp_path / "out" / "tables.json").write_text(json.dumps(row))
+        (tmp_path / "out").mkdir(exist_ok=True)
+        (tmp_path / "out" / "tables.json").write_text(json.dumps({"methods": {"base": row}}))
 
     monkeypatch.setattr("riemlayer.tables.__main__.main", record)
     words = ["tables", tmp_path, "-o", tmp_path / "out", "--fast", "--no-figures", "--limit", 2]
-    done = well(*words, "--weights", "w", "--json")
-    assert done.facts["methods"] == {"base": {"spheres": {"E_Exp": 0.1}}}
-    assert "a table" in done.stderr
+    facts = well(*words, "--weights", "w", "--json").facts
+    assert facts["methods"] == {"base": {"spheres": {"E_Exp": 0.1, "E_angle": None}}}
+    assert facts["failed"] == {"base": {"s/a": "why"}}
     wanted = [str(tmp_path), "--out", str(tmp_path / "out"), "--weights", "w", "--limit", "2"]
-    assert asked == [*wanted, "--fast", "--no-figures"]
+    assert asked == [[*wanted, "--fast", "--no-figures"]]
+    assert well(*words).stdout == "a table\n"
 
 
 def test_what_has_no_tables(run, tmp_path, refused):
