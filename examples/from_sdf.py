@@ -42,7 +42,7 @@ def main() -> None:
     took = time.perf_counter() - start
 
     points, _, residual = sample_sdf(net, 2_000 if args.fast else 12_000, BOUNDS)
-    dense = sample_surface(vertices, shape.faces, 50_000, np.random.default_rng(1))
+    dense = sample_surface(vertices, shape.faces, 200_000, np.random.default_rng(1))
     off = KDTree(dense).query(points.numpy())[0]
     print(f"trained for {took:.0f} s; {len(points):,} points of the zero level by Eq. (7)")
     print(f"|f| there: mean {residual.mean():.1e}, largest {residual.max():.1e}")
