@@ -101,7 +101,7 @@ def _add_paths(plotter: Any, drawing: Drawing, lift: Array) -> None:
             _add_balls(plotter, np.stack([path[-1] for path in paths]) + lift, 2 * width, colour)
     if drawing.dots is not None:
         dots = pyvista.PolyData(drawing.dots + lift)
-        size = 3.0 * SAMPLES
+        size = 1.8 * SAMPLES
         plotter.add_mesh(dots, color=DOT, style="points", point_size=size, lighting=False)
     if drawing.p is not None:
         near = unit(lift) * thick  # the rim of the source stands a little behind it
