@@ -111,7 +111,9 @@ def mean(
     output: Output,
     point: Annotated[
         list[int] | None,
-        typer.Option("--point", "-p", help="Index of a point to average; may be repeated."),
+        typer.Option(
+            "--point", "-p", "--source", "-s", help="Index of a point to average; may be repeated."
+        ),
     ] = None,
     at: Annotated[
         list[str] | None,
