@@ -32,6 +32,11 @@ def speed() -> str:
     return (RESULTS / "speed.md").read_text("utf-8").strip()
 
 
+def deploy() -> str:
+    """The tables that `benchmarks.deploy` wrote."""
+    return (RESULTS / "deploy.md").read_text("utf-8").strip()
+
+
 def card() -> str:
     """Facts of the packaged weights' model card."""
     facts = json.loads((ROOT / "riemlayer" / "weights" / "base.json").read_text("utf-8"))
@@ -50,7 +55,12 @@ def card() -> str:
     )
 
 
-BLOCKS: dict[str, Callable[[], str]] = {"accuracy": accuracy, "speed": speed, "card": card}
+BLOCKS: dict[str, Callable[[], str]] = {
+    "accuracy": accuracy,
+    "speed": speed,
+    "deploy": deploy,
+    "card": card,
+}
 
 
 def filled(text: str) -> str:
