@@ -1,7 +1,7 @@
 """Every block of code in the documentation runs, page by page, in a folder of its own.
 
 A page's Python blocks share one namespace, its calls of `riemlayer` the folder. Blocks with
-`title="not run"` would train for long or need files of the reader's: Python in them is compiled and
+`title="not run by the tests"` would train for long or need files of the reader's: Python in them is compiled and
 its names from riemlayer are looked up, options of `riemlayer` are parsed. Options of other programs
 of the project are looked for in their sources.
 """
@@ -53,7 +53,9 @@ def blocks(page: Path) -> list[Block]:
         indent, language, info, code = match.groups()
         line = text[: match.start(4)].count("\n") + 1
         code = re.sub(rf"^{indent}", "", code, flags=re.M)
-        found.append(Block(page, line, language or "", 'title="not run"' not in info, code))
+        found.append(
+            Block(page, line, language or "", 'title="not run by the tests"' not in info, code)
+        )
     return found
 
 
@@ -186,7 +188,7 @@ def test_languages_and_titles_are_known():
     infos = [
         i[1] for page in PAGES for i in re.findall(r"^ *```(\w+)([^\n]*)$", page.read_text(), re.M)
     ]
-    assert {*infos} <= {"", ' title="not run"'}
+    assert {*infos} <= {"", ' title="not run by the tests"'}
 
 
 def test_few_blocks_are_not_run():
