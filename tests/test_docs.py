@@ -1,9 +1,9 @@
 """Every block of code in the documentation runs, page by page, in a folder of its own.
 
 A page's Python blocks share one namespace, its calls of `riemlayer` the folder. Blocks with
-`title="not run by the tests"` would train for long or need files of the reader's: Python in them is compiled and
-its names from riemlayer are looked up, options of `riemlayer` are parsed. Options of other programs
-of the project are looked for in their sources.
+`title="not run by the tests"` would train for long or need files of the reader's: Python in them is
+compiled and its names from riemlayer are looked up, options of `riemlayer` are parsed. Options of
+other programs of the project are looked for in their sources.
 """
 
 from __future__ import annotations
