@@ -69,6 +69,8 @@ class HeadConfig:
     walk_steps: tuple[int, ...] = (8, 16)
     """Steps of the walked priors of Exp: over planes half as large as the leaves, a quarter as
     large, and so on; (): straight (q = p + v), as in the paper."""
+    fan_rays: int = 48
+    """Geodesics of the fans that Log starts from, one fan a walk of Exp; 0: from the chord alone."""
     decoder: str = "triplane"
     """`triplane`, or `siren` (Tab. 5): a modulated sine network, without planes."""
 
@@ -79,6 +81,8 @@ class HeadConfig:
             raise ValueError(f"layers must be at least 2, got {self.layers}")
         if not self.anchored and (self.narrow or self.walk_steps):
             raise ValueError("narrow and walk_steps refine the anchored maps: set anchored=True")
+        if self.fan_rays < 0 or self.fan_rays in (1, 2):
+            raise ValueError(f"fan_rays must be 0 or at least 3, got {self.fan_rays}")
         if not isinstance(self.walk_steps, tuple) or any(n < 1 for n in self.walk_steps):
             raise ValueError(
                 "walk_steps must be a tuple of step numbers of at least 1, () for a straight "
@@ -125,7 +129,7 @@ class FieldConfig:
         )
         return cls(
             backbone,
-            HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8)),
+            HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8), fan_rays=12),
         )
 
     @classmethod
@@ -145,6 +149,7 @@ class FieldConfig:
         """Inverse of `to_dict`; unknown names raise."""
         try:
             head = _tuples(values["head"])
+            head.setdefault("fan_rays", 0)  # before there were fans
             if isinstance(walk := head.get("walk_steps"), int):  # before there were several walks
                 head["walk_steps"] = (walk,) if walk else ()
             return replace(

@@ -1,16 +1,21 @@
 """Local planes of a cloud, geodesic walking, frames."""
 
+from riemlayer.geometry.fan import Fan, FanLog, fan_of, log_on_fan
 from riemlayer.geometry.frames import angle_of, frame_of, nearest_isometry
 from riemlayer.geometry.planes import LocalPlanes, local_planes, planes_at_scales
 from riemlayer.geometry.walk import Walked, lay_flat, turn, walk
 
 __all__ = [
+    "Fan",
+    "FanLog",
     "LocalPlanes",
     "Walked",
     "angle_of",
+    "fan_of",
     "frame_of",
     "lay_flat",
     "local_planes",
+    "log_on_fan",
     "nearest_isometry",
     "planes_at_scales",
     "turn",

@@ -62,11 +62,18 @@ def walk(
     normal = normalise(normal - tilt * v)
     x, carried, normal = (in_columns(y) for y in (p, v, normal))
     for _ in range(steps):
-        x = torch.add(x, carried, alpha=1 / steps)
-        ahead, gap = planes.at(x, batch, normal)
-        x = torch.addcmul(x, gap, ahead, value=-1)
-        carried, normal = turn(carried, normal, ahead), ahead
+        x, carried, normal = advance(planes, x, carried, normal, batch, 1 / steps)
     return Walked(p + v + fade_in(square, planes) * (x - p - v), carried, normal)
+
+
+def advance(
+    planes: LocalPlanes, x: Tensor, carried: Tensor, normal: Tensor, batch: Tensor, share: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """One step of a walk, by a share of the carried vector: point, vector and normal (Q, 3)."""
+    x = torch.add(x, carried, alpha=share)
+    ahead, gap = planes.at(x, batch, normal)
+    x = torch.addcmul(x, gap, ahead, value=-1)
+    return x, turn(carried, normal, ahead), ahead
 
 
 def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:

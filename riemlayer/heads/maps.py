@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from riemlayer.config import HeadConfig
-from riemlayer.geometry import LocalPlanes, lay_flat, walk
+from riemlayer.geometry import LocalPlanes, fan_of, lay_flat, log_on_fan, walk
 from riemlayer.heads.siren import SirenDecoder
 from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork, linear_with_site
 from riemlayer.numerics import in_columns, outer6, safe_norm
@@ -19,6 +19,12 @@ TRAINED = 1.06
 """Longest vectors of the training data, in radii."""
 STEEPNESS = 50.0
 """Fall of the validity's logit a radius beyond that."""
+
+
+NEAR, MIDDLE = 0.2, 0.4
+"""Chords, in radii, up to which fans have no share in Log, and from which they have a full one."""
+FAN = 11
+"""Channels that Log's decoder is told of a fan: 3 + 1 + 6 + 1."""
 
 
 class Embedding(NamedTuple):
@@ -214,16 +220,21 @@ class ExpHead(MapHead):
 
 
 class LogHead(MapHead):
-    """Log_p(q) = flat(x) + |x| (h(x) - h(0)) with x = q - p (ours).
+    """Log_p(q) = prior(x) + |x| (h(x) - h(0)) with x = q - p (ours).
 
-    The prior lays the chord flat on the tangent plane of the cloud at p; h sees the triplane of
-    z(p) at x, the prior, the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0
-    and d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
+    The first prior lays the chord flat on the tangent plane of the cloud at p. Beyond `NEAR` the
+    logs on fans of geodesics, walked from p over the same planes as those of Exp, are further
+    ones, and a gate decides between them. h sees the triplane of z(p) at x, the priors, the planes
+    at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by
+    construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        told = 3 + 12 * max(1, len(config.walk_steps)) + 2 * config.narrow if config.anchored else 0
+        scales = max(1, len(config.walk_steps))
+        fans = len(config.walk_steps) if config.fan_rays else 0
+        told = 3 + FAN * fans + 2 * config.narrow + 12 * scales if config.anchored else 0
         super().__init__(embedding, told, radius, config)
+        self.gate = Gate(told, fans) if config.anchored and fans else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -234,11 +245,48 @@ class LogHead(MapHead):
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        told = ((flat - x) / self.radius, *passed)
-        return Prepared(z, x, flat, told, sites(field, p, normal, shape))
+        told, priors = [(flat - x) / self.radius, *passed], [flat]
+        site = sites(field, p, normal, shape)
+        if self.gate is None:
+            return Prepared(z, x, flat, tuple(told), site)
+        for planes in (field.planes, *field.finer):
+            fan, known = self.on_fan(planes, p, x, flat, shape)
+            priors.append(fan)
+            told.append(known)
+        return Prepared(z, x, self.gate(priors, told, site), tuple(told), site)
+
+    def on_fan(
+        self, planes: LocalPlanes, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Logs on the fans of one scale (S, K, 3), and what is told of them (S, K, FAN).
+
+        Sources whose queries all lie within `NEAR` need no fan.
+        """
+        share = far_share(x / self.radius)
+        far = (share > 0).any(1).squeeze(-1).nonzero().squeeze(-1)
+        known = x.new_zeros(*x.shape[:2], FAN)
+        if not len(far):
+            return flat, known
+        own, there, chords = p[far], shape[far], x[far]
+        fan = fan_of(
+            planes, own, planes.normal(own, there), there, self.config.fan_rays, self.radius
+        )
+        read = log_on_fan(fan, chords)
+        away = share[far] * (read.vector - flat[far])
+        gap = share[far] / read.gap
+        length = share[far] * (read.length - safe_norm(read.vector))
+        told = (away / self.radius, length / self.radius, share[far] * read.normal, gap)
+        known = known.index_put((far,), torch.cat(told, -1))
+        return flat.index_put((far,), flat[far] + away), known
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return vector
+
+
+def far_share(x: Tensor) -> Tensor:
+    """0 for chords (..., 3) within `NEAR`, 1 beyond `MIDDLE`, and smooth in between: (..., 1)."""
+    t = ((safe_norm(x) - NEAR) / (MIDDLE - NEAR)).clamp(0, 1)
+    return t * t * (3 - 2 * t)
 
 
 def sites(field: Embedding, p: Tensor, normal: Tensor, shape: Tensor) -> Tensor:
