@@ -129,7 +129,9 @@ class FieldConfig:
         )
         return cls(
             backbone,
-            HeadConfig(resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8), fan_rays=12),
+            HeadConfig(
+                resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8), fan_rays=12
+            ),
         )
 
     @classmethod

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from riemlayer.geometry.frames import frame_of
 from riemlayer.geometry.planes import LocalPlanes
@@ -30,12 +31,12 @@ that is reached sooner prevails."""
 class Fan(NamedTuple):
     """F points on geodesics from each of S sources, and the affine log map around each point."""
 
-    point: Tensor
-    """(S, F, 3) points relative to the source."""
-    bias: Tensor
-    """(S, F) what each point's length takes off its logit."""
+    key: Tensor
+    """(S, F, 4) what a query's share of each point depends on: the point relative to the source,
+    and what its distance and its length take off."""
     values: Tensor
-    """(S, F, 19): matrix A and offset b of log(x) = A x + b (9 + 3), |v|, normal (6 products)."""
+    """(S, F, 22): matrix A and offset b of log(x) = A x + b (9 + 3), |v|, normal (6 products), and
+    the point again."""
 
 
 class FanLog(NamedTuple):
@@ -48,7 +49,7 @@ class FanLog(NamedTuple):
     normal: Tensor
     """(S, K, 6) mean of their normals' products."""
     gap: Tensor
-    """(S, K, 1) distance from the fan, in units of `WIDTH`."""
+    """(S, K, 3) from the mean of their points to the query."""
 
 
 def fan_of(
@@ -87,24 +88,33 @@ def fan_of(
     back = along[:, :, None, :, None] * carried[..., None, :]
     back = back + across[:, :, None, :, None] * side[..., None, :]  # (S, rays, LENGTHS, 3, 3)
     offset = length * along[:, :, None] - (back * x[..., None, :]).sum(-1)
-    values = torch.cat((back.flatten(-2), offset, length, outer6(n)), -1)
-    x, length, values = (y.flatten(1, 2) for y in (x, length, values))
-    return Fan(x, SHORTER * length.squeeze(-1).square(), values)
+    takes = -0.5 * (x.square().sum(-1, keepdim=True) + SHORTER * length.square())
+    values = torch.cat((back.flatten(-2), offset, length, outer6(n), x), -1)
+    return Fan(torch.cat((x, takes), -1).flatten(1, 2), values.flatten(1, 2))
 
 
 def log_on_fan(fan: Fan, x: Tensor) -> FanLog:
     """Logs of chords (S, K, 3): the affine log maps around a fan's points, blended.
 
-    A point's share falls with its squared distance from the query and with its squared length:
-    softmax attention of queries to the fan's points. In full precision always.
+    Shares are softmax(-(|x - x_i|^2 + SHORTER |v_i|^2) / (2 WIDTH^2)): attention of the queries to
+    the fan's points, in full precision always.
     """
+    query = torch.cat((x, torch.ones_like(x[..., :1])), -1) / WIDTH**2
     with torch.autocast(x.device.type, enabled=False):
-        cross = x @ fan.point.mT  # (S, K, F)
-        apart = fan.point.square().sum(-1) + fan.bias
-        logit = (cross - apart[:, None] / 2) / WIDTH**2
-        read = logit.softmax(-1) @ fan.values
-    nearest = (x.square().sum(-1) - 2 * WIDTH**2 * logit.amax(-1)).clamp_min(0)
-    back, offset, length, normal = read.split((9, 3, 1, 6), -1)
+        read = attention(query, fan.key, fan.values)
+    back, offset, length, normal, point = read.split((9, 3, 1, 6, 3), -1)
     vector = (back.unflatten(-1, (3, 3)) * x[..., None, :]).sum(-1) + offset
-    gap = (nearest + WIDTH**2).sqrt() / WIDTH
-    return FanLog(vector, length, normal, gap[..., None])
+    return FanLog(vector, length, normal, x - point)
+
+
+def attention(query: Tensor, key: Tensor, values: Tensor) -> Tensor:
+    """softmax(query key^T) values: (S, K, a), (S, F, a), (S, F, c) -> (S, K, c), a <= c.
+
+    Fused, without the (S, K, F) products in memory, but in forward mode, which has no fused form.
+    """
+    missing = values.shape[-1] - key.shape[-1]  # the fused form wants equal widths
+    q, k, v = (y[:, None] for y in (F.pad(query, (0, missing)), F.pad(key, (0, missing)), values))
+    try:
+        return F.scaled_dot_product_attention(q, k, v, scale=1.0).squeeze(1)
+    except NotImplementedError:
+        return (query @ key.mT).softmax(-1) @ values

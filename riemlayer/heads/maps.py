@@ -23,8 +23,8 @@ STEEPNESS = 50.0
 
 NEAR, MIDDLE = 0.2, 0.4
 """Chords, in radii, up to which fans have no share in Log, and from which they have a full one."""
-FAN = 11
-"""Channels that Log's decoder is told of a fan: 3 + 1 + 6 + 1."""
+FAN = 13
+"""Channels that Log's decoder is told of a fan: 3 + 1 + 6 + 3."""
 
 
 class Embedding(NamedTuple):
@@ -273,10 +273,10 @@ class LogHead(MapHead):
         )
         read = log_on_fan(fan, chords)
         away = share[far] * (read.vector - flat[far])
-        gap = share[far] / read.gap
-        length = share[far] * (read.length - safe_norm(read.vector))
-        told = (away / self.radius, length / self.radius, share[far] * read.normal, gap)
-        known = known.index_put((far,), torch.cat(told, -1))
+        longer = read.length - safe_norm(read.vector)
+        told = torch.cat((longer / self.radius, read.normal, read.gap / self.radius), -1)
+        told = torch.cat((away / self.radius, share[far] * told), -1)
+        known = known.index_put((far,), told)
         return flat.index_put((far,), flat[far] + away), known
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from references import encoded, lumpy, shaken
 from riemlayer import ExpLogField
 from riemlayer.config import FieldConfig, HeadConfig
 from riemlayer.heads import MapOutput
-from riemlayer.heads.maps import Gate, read_narrow
+from riemlayer.heads.maps import MIDDLE, NEAR, Gate, far_share, read_narrow
 
 HEADS = {
     "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4,)),
@@ -85,6 +85,22 @@ def test_queries_of_a_source_do_not_see_each_other():
         part = answers(field, which, x[:, 3:4])
         torch.testing.assert_close(part.vector, whole.vector[:, 3:4], rtol=0, atol=1e-12)
         torch.testing.assert_close(part.validity, whole.validity[:, 3:4], rtol=0, atol=1e-12)
+
+
+def test_near_queries_do_not_depend_on_who_else_is_asked():
+    """No fan is walked for a source whose queries are all near; their answers are the same."""
+    field = field_with(HEADS["walked twice"])
+    x = 0.1 * torch.nn.functional.normalize(torch.randn(4, 10, 3).double(), dim=-1)
+    x[:, 5:] *= 4
+    whole, part = answers(field, "log", x), answers(field, "log", x[:, :5])
+    torch.testing.assert_close(part.vector, whole.vector[:, :5], rtol=0, atol=1e-12)
+
+
+def test_the_share_of_fans_grows_smoothly_with_the_chord():
+    x = torch.linspace(0, 1, 1001).double()[:, None] * torch.tensor([[0.6, 0, 0.8]]).double()
+    share, length = far_share(x).squeeze(-1), x.norm(dim=-1)
+    assert (share[length <= NEAR] == 0).all() and (share[length >= MIDDLE] == 1).all()
+    assert (share.diff() >= 0).all() and share.diff().diff().abs().max() < 2e-4  # no kink
 
 
 def test_validity_does_not_disturb_the_maps():

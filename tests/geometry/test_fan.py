@@ -1,0 +1,126 @@
+"""Log on a fan of walked geodesics: exact on planes, near on curved surfaces, a softmax of maps."""
+
+import pytest
+import torch
+from references import fibonacci_sphere, lumpy
+from torch import Tensor
+
+from riemlayer.data.closed_form import Cylinder, Sphere
+from riemlayer.geometry import Fan, LocalPlanes, fan_of, lay_flat, local_planes, log_on_fan
+from riemlayer.geometry.fan import LENGTHS, REACH, SHORTER, WIDTH
+from riemlayer.octree import build_octree
+
+RADIUS = 0.5
+
+
+def planes_of(points: Tensor, depth: int = 6) -> LocalPlanes:
+    batch = torch.zeros(len(points), dtype=torch.long)
+    return local_planes(points, build_octree(points, batch, depth))
+
+
+def fan_at(planes: LocalPlanes, p: Tensor, rays: int = 48) -> Fan:
+    shape = torch.zeros(len(p), dtype=torch.long)
+    return fan_of(planes, p, planes.normal(p, shape), shape, rays, RADIUS)
+
+
+def test_on_a_plane_a_chord_is_its_own_log():
+    points = torch.rand(20_000, 3).double() - 0.5
+    turned = torch.linalg.qr(torch.randn(3, 3).double())[0]
+    points = (2 * points * torch.tensor([1.0, 1, 0])) @ turned.T
+    p, x = 0.1 * points[:20], 0.4 * points[20:220].expand(20, 200, 3)
+    read = log_on_fan(fan_at(planes_of(points, 5), p), x)
+    torch.testing.assert_close(read.vector, x, rtol=0, atol=1e-9)
+    assert (read.length.squeeze(-1) > x.norm(dim=-1) - 2 * WIDTH).all()
+
+
+@pytest.mark.parametrize("surface", [Sphere(0.5), Cylinder(0.35, 0.8)], ids=repr)
+def test_the_fan_is_nearer_to_the_closed_form_than_the_flat_chord(surface):
+    points = surface.sample(30_000, torch.Generator().manual_seed(0))
+    planes = planes_of(points)
+    p = points[points[:, 2].abs() < 0.2][:50]
+    normal = surface.normal(p)[:, None].expand(50, 40, 3)
+    v = torch.linalg.cross(normal, torch.randn_like(normal))
+    v = v / v.norm(dim=-1, keepdim=True) * torch.linspace(0.1, RADIUS, 40)[:, None]
+    x = surface.exp(p[:, None], v) - p[:, None]
+    flat = lay_flat(planes, planes.normal(p, torch.zeros(50, dtype=torch.long)), x)
+    error = (log_on_fan(fan_at(planes, p), x).vector - v).norm(dim=-1)
+    assert error.mean() < (flat - v).norm(dim=-1).mean() / 3
+    assert error.max() < 0.03
+
+
+def test_points_of_a_fan_lie_on_the_surface_at_their_distance():
+    """On a sphere: their logs are as long as the walk, and A maps to the tangent plane of p."""
+    sphere = Sphere()
+    p = fibonacci_sphere(30_000)[::1000]
+    fan = fan_at(planes_of(fibonacci_sphere(30_000)), p)
+    q = p[:, None] + fan.values[..., 19:]
+    assert float((q.norm(dim=-1) - 1).abs().max()) < 2e-3
+    length = REACH * RADIUS * torch.arange(1, LENGTHS + 1, dtype=p.dtype) / LENGTHS
+    walked = fan.values[..., 12].view(len(p), 48, LENGTHS)
+    torch.testing.assert_close(walked, length.expand_as(walked), rtol=1e-6, atol=0)
+    exact = sphere.log(p[:, None], q).norm(dim=-1)
+    torch.testing.assert_close(exact, walked.flatten(1), rtol=0.02, atol=0)
+    back = fan.values[..., :9].unflatten(-1, (3, 3))
+    normal = torch.einsum("sfij,si->sfj", back, p)
+    assert float(normal.abs().max()) < 0.02  # of the planes
+    spread = torch.linalg.svdvals(back)
+    torch.testing.assert_close(spread, spread.new_tensor([1.0, 1, 0]).expand_as(spread))
+
+
+def test_reading_is_a_softmax_of_affine_maps():
+    points = lumpy(2000)
+    fan = fan_at(planes_of(points), points[:2], rays=5)
+    x = 0.3 * torch.randn(2, 3, 3, dtype=points.dtype)
+    read = log_on_fan(fan, x)
+    for s in range(2):
+        for k in range(3):
+            shares, logs = [], []
+            for value in fan.values[s]:
+                cost = (x[s, k] - value[19:]).square().sum() + SHORTER * value[12] ** 2
+                shares.append(-cost / (2 * WIDTH**2))
+                logs.append(value[:9].view(3, 3) @ x[s, k] + value[9:12])
+            share = torch.stack(shares).softmax(0)
+            log = (share[:, None] * torch.stack(logs)).sum(0)
+            torch.testing.assert_close(read.vector[s, k], log, rtol=0, atol=1e-9)
+            length = (share * fan.values[s, :, 12]).sum()
+            torch.testing.assert_close(read.length[s, k, 0], length, rtol=0, atol=1e-9)
+            gap = x[s, k] - (share[:, None] * fan.values[s, :, 19:]).sum(0)
+            torch.testing.assert_close(read.gap[s, k], gap, rtol=0, atol=1e-9)
+
+
+def test_sources_do_not_see_each_other():
+    points = lumpy(2000)
+    planes, x = planes_of(points), 0.3 * torch.randn(4, 6, 3, dtype=points.dtype)
+    whole = log_on_fan(fan_at(planes, points[:4]), x)
+    part = log_on_fan(fan_at(planes, points[2:3]), x[2:3])
+    for a, b in zip(whole, part, strict=True):
+        torch.testing.assert_close(a[2:3], b, rtol=0, atol=1e-12)
+
+
+def test_gradients_in_queries_sources_and_points():
+    points = lumpy(300)
+
+    def read(points, p, x):
+        return log_on_fan(fan_at(planes_of(points, 4), p, rays=4), x).vector
+
+    arguments = (points, points[:2] * 0.99, 0.3 * torch.randn(2, 3, 3, dtype=points.dtype))
+    arguments = tuple(y.clone().requires_grad_() for y in arguments)
+    assert torch.autograd.gradcheck(read, arguments, fast_mode=True)
+    (slope,) = torch.autograd.grad(read(*arguments).sum(), arguments[1])
+    assert slope.isfinite().all() and slope.any()
+
+
+def test_forward_mode_has_the_same_derivative():
+    points = lumpy(2000)
+    fan = fan_at(planes_of(points), points[:2])
+    x = 0.3 * torch.randn(2, 3, 3, dtype=points.dtype)
+
+    def read(x):
+        return log_on_fan(fan, x).vector
+
+    value, slope = torch.func.jvp(read, (x,), (torch.ones_like(x),))
+    torch.testing.assert_close(value, read(x))
+    step = 1e-6
+    torch.testing.assert_close(
+        slope, (read(x + step) - read(x - step)) / (2 * step), atol=1e-5, rtol=0
+    )
