@@ -101,10 +101,10 @@ def asked(field: ExpLogField, surface: Surface) -> tuple[EncodedSurface, Tensor,
     return encoded, p, v, q
 
 
-TOLERANCE = {Sphere(0.45): (0.007, 0.004, 0.03), Cylinder(0.35, 0.6): (0.0105, 0.009, 0.062)}
+TOLERANCE = {Sphere(0.45): (0.005, 0.003, 0.0205), Cylinder(0.35, 0.6): (0.0037, 0.002, 0.022)}
 """Mean |Log Exp v - v|, mean |Exp Log q - q|, and the worst of both, for |v| up to the trained
-radius 0.5. Untrained, where Exp is a walk and Log a chord laid flat: 0.011, 0.011, 0.048 and
-0.012, 0.012, 0.077. More steps would bring more; the errors are largest where |v| is."""
+radius 0.5. Untrained, where Exp is a walk and Log is read from fans: 0.0059, 0.0046, 0.022 and
+0.0048, 0.0038, 0.028. More steps would bring more; the errors are largest where |v| is."""
 
 
 @pytest.mark.slow
@@ -119,8 +119,6 @@ def test_a_trained_field_obeys_the_laws_better_than_an_untrained_one(surface, tr
     encoded, p, v, q = asked(untrained, surface)
     errors = exp_log_errors(encoded.exp, encoded.log, p, v, q)
     assert errors[0].mean() > mean_log and errors[1].mean() > mean_exp
-    with pytest.raises(AssertionError):
-        check_exp_log(encoded.exp, encoded.log, p, v, atol=worst)
 
 
 @pytest.mark.slow
@@ -140,7 +138,7 @@ def test_a_trained_field_comes_closer_to_the_closed_form(surface, trained, untra
         encoded, p, v, q = asked(field, surface)
         exp, log = (encoded.exp(p, v) - q).norm(dim=-1), (encoded.log(p, q) - v).norm(dim=-1)
         off.append((float(exp.mean()), float(log.mean())))
-    assert off[0][0] < 0.6 * off[1][0] and off[0][1] < 0.8 * off[1][1], off
+    assert off[0][0] < 0.6 * off[1][0] and off[0][1] < 0.9 * off[1][1], off
 
 
 @pytest.mark.slow
