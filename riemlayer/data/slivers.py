@@ -35,7 +35,8 @@ def remove_slivers(
     """Removes needles (an edge < length) and caps (height < length / 4), staying manifold (ours).
 
     Remeshing leaves some dozens where creases nearly touch; straightest geodesics go astray in
-    them. No vertex moves, so the surface changes by less than `length`.
+    them. The surface changes by less than `length`: no vertex moves but the ends of edges of no
+    length which cannot collapse.
 
     Args:
         vertices: (n, 3).
@@ -49,7 +50,7 @@ def remove_slivers(
         faces = _flip_caps(vertices, faces, length / 4)
         if faces is before:
             break
-    return drop_unused_vertices(vertices, faces)
+    return drop_unused_vertices(_part_twins(vertices, faces, length), faces)
 
 
 def heights(vertices: Vertices, faces: Faces) -> NDArray[np.float64]:
@@ -77,6 +78,24 @@ def _collapse_needles(vertices: Vertices, faces: Faces, length: float) -> Faces:
     faces = target[faces]
     a, b, c = faces.T
     return faces[(a != b) & (b != c) & (c != a)]
+
+
+def _part_twins(vertices: Vertices, faces: Faces, length: float) -> Vertices:
+    """Moves one end of each edge of no length towards the middle of its neighbours.
+
+    Such edges are left where a collapse would pinch the surface; solvers meet NaN in their faces.
+    """
+    half = directed_edges(faces)
+    half = half[half[:, 0] < half[:, 1]]
+    size = np.linalg.norm(vertices[half[:, 0]] - vertices[half[:, 1]], axis=1)
+    twins = half[size < 1e-3 * length]
+    if not len(twins):
+        return vertices
+    vertices, stars = vertices.copy(), _Stars(faces)
+    for _, b in twins:
+        away = vertices[sorted(stars.ring(b))].mean(0) - vertices[b]
+        vertices[b] += away * min(1.0, length / max(np.linalg.norm(away), _TINY))
+    return vertices
 
 
 def _flip_caps(vertices: Vertices, faces: Faces, height: float) -> Faces:

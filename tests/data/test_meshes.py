@@ -223,6 +223,15 @@ def test_remove_slivers_takes_needles_and_caps_out():
     )
 
 
+def test_ends_of_an_edge_of_no_length_that_cannot_collapse_are_parted():
+    """Two of a bipyramid's three middle corners coincide; merging them would leave no solid."""
+    vertices = np.array([[0.0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 1, 0], [0, 1, 0]])
+    faces = np.array([[0, 2, 3], [0, 3, 4], [0, 4, 2], [1, 3, 2], [1, 4, 3], [1, 2, 4]])
+    moved, same = remove_slivers(vertices, faces, 0.01)
+    assert (same == faces).all() and heights(moved, faces).min() > 1e-3
+    assert np.linalg.norm(moved - vertices, axis=1).max() < 0.0101
+
+
 def test_remove_slivers_leaves_a_good_mesh_alone():
     vertices, faces = sphere()
     clean, clean_faces = remove_slivers(vertices, faces, 0.01)
