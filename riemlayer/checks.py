@@ -165,6 +165,32 @@ def check_same_device(name: str, x: Tensor, like: Tensor) -> None:
         )
 
 
+def check_normals(normals: Any, points: Tensor) -> None:
+    """`normals` are unit vectors, one a point of the cloud.
+
+    Raises:
+        TypeError: not a tensor, or not floating.
+        ValueError: wrong shape, dtype or device, NaN or infinity, a normal not of length 1.
+
+    Example:
+        >>> check_normals(torch.zeros(4, 3), torch.rand(4, 3))
+        Traceback (most recent call last):
+        ValueError: `normals` must have length 1 within 1%, got 0; drop points without a normal
+    """
+    check_vectors("normals", normals, like=points)
+    if normals.shape != points.shape:
+        raise ValueError(
+            f"`normals` must have the shape of `points` {tuple(points.shape)}, got "
+            f"{tuple(normals.shape)}; pass one normal a point"
+        )
+    length = normals.detach().norm(dim=-1)
+    if (off := (length - 1).abs()).max() > 0.01:
+        raise ValueError(
+            f"`normals` must have length 1 within 1%, got {float(length[off.argmax()]):g}; "
+            "drop points without a normal"
+        )
+
+
 def check_same_kind(name: str, x: Tensor, like: Tensor) -> None:
     """`x` has the dtype of `like` and lies on its device.
 

@@ -1,4 +1,4 @@
-"""Configurations: three frozen dataclasses and the presets `base`, `paper`, `tiny`."""
+"""Configurations: three frozen dataclasses and the presets."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ class BackboneConfig:
     """Residual blocks after each doubling."""
     embedding: int = 256
     """C, channels of the embedding z."""
+    normals: bool = False
+    """Whether the point stem is told the points' oriented normals (ours)."""
     kind: str = "octree"
     """`octree`: the U-Net. `pointnet` (Tab. 5): MLPs per point, `encoder` wide before the pool over
     the cloud and `decoder` wide after it; it has neither stem nor blocks."""
@@ -34,6 +36,8 @@ class BackboneConfig:
     def __post_init__(self) -> None:
         if self.kind not in BACKBONES:
             raise ValueError(f"kind must be one of {BACKBONES}, got {self.kind!r}")
+        if self.normals and (self.kind != "octree" or not self.stem):
+            raise ValueError("normals are told to the point stem: set kind='octree' and stem > 0")
         stages = len(self.encoder) - 1
         if not (len(self.decoder) - 1 == stages == len(self.encoder_blocks)):
             raise ValueError(
@@ -70,7 +74,7 @@ class HeadConfig:
     """Steps of the walked priors of Exp: over planes half as large as the leaves, a quarter as
     large, and so on; (): straight (q = p + v), as in the paper."""
     fan_rays: int = 48
-    """Geodesics of the fans that Log starts from, one fan a walk of Exp; 0: from the chord alone."""
+    """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: the chord alone."""
     decoder: str = "triplane"
     """`triplane`, or `siren` (Tab. 5): a modulated sine network, without planes."""
 
@@ -105,6 +109,11 @@ class FieldConfig:
         return cls()
 
     @classmethod
+    def base_normals(cls) -> FieldConfig:
+        """`base` for clouds with oriented normals, which tell the sides of a thin sheet apart."""
+        return cls(BackboneConfig(normals=True))
+
+    @classmethod
     def paper(cls) -> FieldConfig:
         """Appendix B to the letter: depth 6, no point stem, no anchor, no prior, no refinement."""
         backbone = BackboneConfig(
@@ -136,8 +145,13 @@ class FieldConfig:
 
     @classmethod
     def preset(cls, name: str) -> FieldConfig:
-        """The configuration called `base`, `paper` or `tiny`."""
-        presets = {"base": cls.base, "paper": cls.paper, "tiny": cls.tiny}
+        """The configuration called `base`, `base-normals`, `paper` or `tiny`."""
+        presets = {
+            "base": cls.base,
+            "base-normals": cls.base_normals,
+            "paper": cls.paper,
+            "tiny": cls.tiny,
+        }
         if name not in presets:
             raise ValueError(f"preset must be one of {sorted(presets)}, got {name!r}")
         return presets[name]()

@@ -66,7 +66,9 @@ class ExpLogField(Pretrained, nn.Module):
         """Untrained field of the preset `base`, `paper` or `tiny`."""
         return cls(FieldConfig.preset(name))
 
-    def encode(self, points: Tensor, batch: Tensor | None = None) -> EncodedSurface:
+    def encode(
+        self, points: Tensor, batch: Tensor | None = None, normals: Tensor | None = None
+    ) -> EncodedSurface:
         """Encode raw clouds once (Sec. 3.1).
 
         Each cloud is centred and scaled by its own bounding box to the cube [-1, 1]^3; a cloud
@@ -76,6 +78,9 @@ class ExpLogField(Pretrained, nn.Module):
         Args:
             points: (N, 3) of one cloud, or of several packed one after the other; any unit.
             batch: (N,) int64, sorted: cloud of each point of a packed batch.
+            normals: (N, 3) unit normals that all point to the same side of the surface, where they
+                are known (ours): walks then do not see the other side of a thin sheet. A field with
+                `config.backbone.normals` needs them.
 
         Returns:
             An `EncodedSurface`.
@@ -92,23 +97,33 @@ class ExpLogField(Pretrained, nn.Module):
         checks.check_tensor("points", points)
         checks.check_same_kind("points", points, like=self.backbone.head.weight)
         checks.check_points(points, batch)
+        if normals is not None:
+            checks.check_normals(normals, points)
+        elif self.config.backbone.normals:
+            raise ValueError(
+                "`normals` must be given: this field was made for clouds with oriented normals; "
+                "the packaged `base` is for clouds without"
+            )
         if batch is None:
             batch = torch.zeros(len(points), dtype=torch.long, device=points.device)
         centre, scale = bounding_cubes(points, batch)
         x = (points - centre[batch]) / scale[batch][:, None]
-        embedding = self.embed(x.clamp(-1, 1), batch)
+        embedding = self.embed(x.clamp(-1, 1), batch, normals)
         return EncodedSurface(self, embedding, centre, scale, points, batch)
 
-    def encode_in_cube(self, points: Tensor, batch: Tensor) -> EncodedSurface:
+    def encode_in_cube(
+        self, points: Tensor, batch: Tensor, normals: Tensor | None = None
+    ) -> EncodedSurface:
         """Encode packed clouds that already lie in the cube, at the size they have there.
 
         What training calls: clouds smaller than the cube stay smaller.
         """
         size = int(batch[-1]) + 1
         centre, scale = points.new_zeros(size, 3), points.new_ones(size)
-        return EncodedSurface(self, self.embed(points, batch), centre, scale, points, batch)
+        embedding = self.embed(points, batch, normals)
+        return EncodedSurface(self, embedding, centre, scale, points, batch)
 
-    def embed(self, points: Tensor, batch: Tensor) -> Embedding:
+    def embed(self, points: Tensor, batch: Tensor, normals: Tensor | None = None) -> Embedding:
         """Embedding field of packed clouds (N, 3) that already lie in the cube."""
         backbone = self.config.backbone
         scales = max(1, len(self.config.head.walk_steps))
@@ -119,8 +134,9 @@ class ExpLogField(Pretrained, nn.Module):
             coarsest=backbone.depth - len(backbone.encoder) + 1,
         )
         with self.half_precision():
-            planes = planes_at_scales(points, octree, scales)
-            z = self.backbone(points, octree, planes[0])
+            planes = planes_at_scales(points, octree, scales, normals)
+            told = (normals,) if backbone.normals else ()
+            z = self.backbone(points, octree, planes[0], *told)
             narrow = None if self.narrow is None else self.narrow(z).to(points.dtype)
         return Embedding(
             z.to(points.dtype), narrow, octree.level(backbone.depth), planes[0], planes[1:]

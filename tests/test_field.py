@@ -1,6 +1,7 @@
 """Encoding: what a surface does not depend on, what it is differentiable in, what is refused."""
 
 import contextlib
+from dataclasses import replace
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from torch.autograd import gradcheck
 
 from riemlayer import ExpLogField
 from riemlayer import field as field_module
+from riemlayer.config import FieldConfig
 from riemlayer.field import bounding_cubes
 from riemlayer.surface import EncodedSurface
 
@@ -252,3 +254,41 @@ def test_bad_batches_are_named(batch, error, words):
     with pytest.raises(error, match=words) as raised:
         ExpLogField.from_preset("tiny").encode(CLOUD, torch.tensor(batch))
     assert "`batch`" in str(raised.value)
+
+
+# ---------------------------------------------------------------------------------------- normals
+
+
+def test_normals_of_one_side_or_the_other_give_the_same_maps():
+    """On a closed surface whose sides are far apart, which side they are on has no say."""
+    points = fibonacci_sphere(2000).double()
+    field, (p, v) = shaken("tiny"), queries(points)
+    plain = answers(field.encode(points), p, v)
+    same(plain, answers(field.encode(points, normals=points), p, v), 1e-9)
+    same(plain, answers(field.encode(points, normals=-points), p, v), 1e-9)
+
+
+def test_a_field_for_normals_needs_and_uses_them():
+    config = FieldConfig.tiny()
+    config = replace(config, backbone=replace(config.backbone, normals=True))
+    field, points = ExpLogField(config).double(), fibonacci_sphere(500).double()
+    with pytest.raises(ValueError, match="`normals` must be given"):
+        field.encode(points)
+    inward, outward = (field.encode(points, normals=n).embedding.z for n in (-points, points))
+    assert (inward - outward).abs().max() > 1e-3
+    with pytest.raises(ValueError, match="set kind='octree' and stem > 0"):
+        replace(config.backbone, stem=0)
+
+
+@pytest.mark.parametrize(
+    "normals, message",
+    [
+        (torch.zeros(500, 3).double(), "length 1 within 1%, got 0"),
+        (torch.ones(400, 3).double(), r"shape of `points` \(500, 3\), got \(400, 3\)"),
+        (torch.full((500, 3), torch.nan).double(), "finite"),
+    ],
+)
+def test_bad_normals_are_named(normals, message):
+    field, points = ExpLogField.from_preset("tiny").double(), fibonacci_sphere(500).double()
+    with pytest.raises(ValueError, match=f"`normals`.*{message}"):
+        field.encode(points, normals=normals)

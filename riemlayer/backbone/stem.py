@@ -18,24 +18,33 @@ class PointStem(nn.Module):
     Each point is described by its offset in the leaf with second-order terms and by the local plane
     it lies on (normal without sign, shape of the covariance, offset from the centroid); the MLP's
     mean and maximum over the leaf join the mean offset and the logarithm of the count. Only local
-    offsets enter, so a shift by whole cells changes nothing.
+    offsets enter, so a shift by whole cells changes nothing. With `normals` it sees the points'
+    oriented normals too.
 
-    Shapes: points (N, 3) -> (n, width); `leaf` (N,), `planes` of the level below the leaves.
+    Shapes: points (N, 3), normals (N, 3) -> (n, width); `leaf` (N,), `planes` of the level below
+    the leaves.
     """
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, normals: bool = False) -> None:
         super().__init__()
+        inputs = POINT_FEATURES + 3 * normals
         self.points = nn.Sequential(
-            nn.Linear(POINT_FEATURES, width), nn.GELU(), nn.Linear(width, width), nn.GELU()
+            nn.Linear(inputs, width), nn.GELU(), nn.Linear(width, width), nn.GELU()
         )
         self.join = nn.Linear(2 * width + 4, width)
 
     def forward(
-        self, points: Tensor, leaf: Tensor, level: Level, planes: LocalPlanes, node: Tensor
+        self,
+        points: Tensor,
+        leaf: Tensor,
+        level: Level,
+        planes: LocalPlanes,
+        node: Tensor,
+        *normals: Tensor,
     ) -> Tensor:
         offset, summary = leaf_summary(points, leaf, level)
         plane = planes.point_features(points, node)  # (N, 11)
-        x = self.points(torch.cat((offset, outer6(offset), plane), -1))
+        x = self.points(torch.cat((offset, outer6(offset), plane, *normals), -1))
         pooled = (segment_mean(x, leaf, len(level)), segment_max(x, leaf, len(level)))
         return self.join(torch.cat((*pooled, summary.to(x.dtype)), -1))
 

@@ -47,7 +47,8 @@ class Stage(nn.Module):
 class OctreeUNet(nn.Module):
     """U-Net over the octree, from points to one embedding a leaf.
 
-    Shapes: points (N, 3) of an octree -> (n, C) on the level of `config.depth`.
+    Shapes: points (N, 3) of an octree, and what else the stem is told of them, (N, 3) normals
+    -> (n, C) on the level of `config.depth`.
     """
 
     def __init__(self, config: BackboneConfig) -> None:
@@ -55,7 +56,7 @@ class OctreeUNet(nn.Module):
         self.config = config
         e, d = config.encoder, config.decoder
         stages = len(e) - 1
-        self.stem = PointStem(config.stem) if config.stem else LeafStem(e[0])
+        self.stem = PointStem(config.stem, config.normals) if config.stem else LeafStem(e[0])
         self.enter = OctreeConv(config.stem or e[0], e[0])
         self.down = nn.ModuleList(OctreeDown(e[i], e[i + 1]) for i in range(stages))
         self.encode = nn.ModuleList(
@@ -70,11 +71,11 @@ class OctreeUNet(nn.Module):
         self.norm = nn.LayerNorm(d[-1])
         self.head = nn.Linear(d[-1], config.embedding)
 
-    def forward(self, points: Tensor, octree: Octree, planes: LocalPlanes) -> Tensor:
+    def forward(self, points: Tensor, octree: Octree, planes: LocalPlanes, *told: Tensor) -> Tensor:
         depths = range(self.config.depth, self.config.depth - len(self.config.encoder), -1)
         levels = [octree.level(d) for d in depths]
         node = octree.node(planes.fine.level.depth)
-        x = self.stem(points, octree.node(self.config.depth), levels[0], planes, node)
+        x = self.stem(points, octree.node(self.config.depth), levels[0], planes, node, *told)
         x = self.enter(x, levels[0])
         skips = []
         for i, (down, stage) in enumerate(zip(self.down, self.encode, strict=True)):

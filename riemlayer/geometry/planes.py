@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from riemlayer.numerics import (
     normalise,
@@ -40,9 +41,13 @@ class PlaneLevel(NamedTuple):
 
     level: Level
     plane: Tensor
-    """(6, n + 1): centroid, and unit normal whose sign has no meaning."""
+    """(6, n + 1): centroid, and unit normal; its sign has a meaning where the points' normals were
+    given."""
     eigenvalues: Tensor
     """(n, 3) of the local covariance, ascending."""
+    other_side: Tensor
+    """() what a plane counts whose normal points the other way: -1, for signs have no meaning; 0
+    where they have one, so that the other side of a thin sheet is not seen."""
 
     def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
         """Sums (5, Q) of oriented normals, signed distances of `x` (3, Q), and the weights."""
@@ -52,10 +57,20 @@ class PlaneLevel(NamedTuple):
         offset = x[:, None] - centroid
         exponent = offset.square().sum(0) * (-0.5 / (BLEND * self.level.cell_size) ** 2)
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
-        agree = (normal * towards[:, None]).sum(0)
-        sign = weight * torch.copysign(weight.new_ones(()), agree)  # copysign(0, .) has no slope
+        agree = (normal * towards[:, None]).sum(0).detach()
+        side = torch.where(agree < 0, self.other_side, torch.ones_like(self.other_side))
+        sign, weight = weight * side, weight * side.abs()
         distance = sign * (normal * offset).sum(0)
         return torch.cat(((normal * sign).sum(1), torch.stack((distance, weight)).sum(1)))
+
+    def facing(self, normals: Tensor, node: Tensor) -> PlaneLevel:
+        """The same planes, turned to the side of most of their points' normals (N, 3) (ours)."""
+        mean = segment_sum(normals, node, len(self.level))
+        centroid, normal = self.plane.split(3)
+        agree = (normal[:, :-1].T * mean).sum(-1)
+        sign = F.pad(torch.where(agree < 0, -1.0, 1.0).to(normal.dtype), (0, 1))
+        plane = torch.cat((centroid, normal * sign))
+        return self._replace(plane=plane, other_side=torch.zeros_like(self.other_side))
 
     def nearest_of_eight(self, x: Tensor, batch: Tensor) -> Tensor:
         """Nearest (Q,) of the eight nodes around `x` (Q, 3); n where there is none."""
@@ -199,12 +214,15 @@ def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
     return planes_at_scales(points, octree, 1)[0]
 
 
-def planes_at_scales(points: Tensor, octree: Octree, scales: int) -> tuple[LocalPlanes, ...]:
+def planes_at_scales(
+    points: Tensor, octree: Octree, scales: int, normals: Tensor | None = None
+) -> tuple[LocalPlanes, ...]:
     """Local planes at several scales, the coarsest first and the finest nodes' last (ours).
 
     Args:
         points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
         scales: how many, each of half the cell size of the one before.
+        normals: (N, 3) oriented unit normals of the points: they give the planes' normals a sign.
     """
     levels = [octree.level(octree.depth - i) for i in range(scales + 2)]
     single = Moments(torch.ones_like(points[:, :1]), points, points.new_zeros(len(points), 6))
@@ -214,6 +232,8 @@ def planes_at_scales(points: Tensor, octree: Octree, scales: int) -> tuple[Local
         moments.append(moments[-1].merged(fine.parent, len(coarse)))
     around = [m.around(level) for m, level in zip(moments, levels, strict=True)]
     planes = [_plane_level(levels[i], moments[i], *around[i : i + 2]) for i in range(scales + 1)]
+    if normals is not None:
+        planes = [x.facing(normals, octree.node(x.level.depth)) for x in planes]
     return tuple(LocalPlanes(fine, coarse) for fine, coarse in reversed([*pairwise(planes)]))
 
 
@@ -229,7 +249,7 @@ def _plane_level(level: Level, moments: Moments, around: Moments, wide: Moments)
     normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
     plane = torch.cat((moments.centroid, normal), -1)
     plane = torch.cat((plane, plane.new_zeros(1, 6))).T.contiguous()
-    return PlaneLevel(level, plane, eigenvalues)
+    return PlaneLevel(level, plane, eigenvalues, eigenvalues.new_tensor(-1.0))
 
 
 def _settled(covariance: Tensor, cell_size: float) -> Tensor:

@@ -295,4 +295,5 @@ def _joined(levels: Sequence[PlaneLevel], octree: Octree) -> PlaneLevel:
         octree.level(levels[0].level.depth),
         torch.cat(rows, 1),
         torch.cat([x.eigenvalues for x in levels]),
+        levels[0].other_side,
     )

@@ -183,3 +183,31 @@ def test_spectra_measure_thickness_in_cells():
     nowhere = torch.full((1, 3), 0.99, dtype=torch.float64)
     assert (level.spectra(nowhere, torch.zeros(1).long()) == 0).all()
     assert not level.spectra(inner.requires_grad_(), torch.zeros(len(inner)).long()).requires_grad
+
+
+def test_normals_hide_the_other_side_of_a_thin_plate():
+    """Two sheets a cell apart: without normals their planes blend, with them they do not."""
+    flat = torch.rand(100_000, 3).double() * torch.tensor([1.6, 1.6, 0]) - 0.8
+    flat[:, 2] = 0
+    gap = 1 / 64  # a cell at depth 7
+    points = torch.cat((flat + gap / 4 * UP, flat + 5 * gap / 4 * UP))
+    normals = torch.cat((-UP.expand_as(flat), UP.expand_as(flat)))
+    octree = build_octree(points, torch.zeros(len(points), dtype=torch.long), 7)
+    x = 0.5 * flat[:200] + 5 * gap / 4 * UP
+    miss = []
+    for given in (None, normals):
+        (planes,) = planes_at_scales(points, octree, 1, given)
+        miss.append(float(at(planes, x, UP)[1].abs().mean()))
+    assert miss[1] < 0.1 * miss[0] and miss[0] > 0.03 * gap, miss
+    facing = planes.normal(x, torch.zeros(200, dtype=torch.long))
+    assert (facing[:, 2] > 0.9).all()
+
+
+def test_normals_give_planes_their_side_and_change_nothing_else():
+    points = fibonacci_sphere(4000)
+    octree = build_octree(points, torch.zeros(4000, dtype=torch.long), 6)
+    (plain,), (outward,) = (planes_at_scales(points, octree, 1, n) for n in (None, points))
+    torch.testing.assert_close(outward.fine.plane[:3], plain.fine.plane[:3])
+    turned = outward.fine.plane[3:, :-1].T
+    torch.testing.assert_close(turned.abs(), plain.fine.plane[3:, :-1].T.abs())
+    assert ((turned * outward.fine.plane[:3, :-1].T).sum(-1) > 0).all()
