@@ -77,6 +77,7 @@ def _variants() -> dict[str, Variant]:
         "without_refinement": Variant(head(narrow=0), SHIPPED, "ours"),
         "without_pairs": Variant(base, replace(SHIPPED, pairs=0), "ours"),
         "without_stem": Variant(backbone(stem=0), SHIPPED, "ours"),
+        "without_fan": Variant(head(fan_rays=0), SHIPPED, "ours"),
         "one_walk": Variant(head(walk_steps=base.head.walk_steps[:1]), SHIPPED, "ours"),
         "straight_prior": Variant(head(walk_steps=()), SHIPPED, "ours"),
         "paper": Variant(FieldConfig.paper(), paper, "ours"),
@@ -180,8 +181,7 @@ def train(
     L.seed_everything(seed, verbose=False)
     model = ExpLogPretraining(losses=variant.losses, config=variant.config)
     average = ExponentialAverage()
-    limit = None if budget.minutes is None else timedelta(minutes=budget.minutes)
-    timer = Timer(limit, verbose=False)
+    timer = Timer(timedelta(minutes=budget.minutes) if budget.minutes else None, verbose=False)
     keep = ModelCheckpoint(
         folder, "last", every_n_train_steps=keep_every, enable_version_counter=False
     )
@@ -192,8 +192,8 @@ def train(
         limit_val_batches=0,
         callbacks=[average, timer, keep],
     )
-    begun = folder / CHECKPOINT
-    fit.fit(model, datamodule=data, ckpt_path=begun if begun.exists() else None)
+    begun = folder / CHECKPOINT if (folder / CHECKPOINT).exists() else None
+    fit.fit(model, datamodule=data, ckpt_path=begun)
     model.field.load_state_dict(average.average)
     errors = _trainer().validate(model, datamodule=data, verbose=False)
     model.field.save_pretrained(folder)
@@ -292,7 +292,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=0, help="processes that load data")
     given = parser.parse_args(arguments)
     data = partial(ExpLogDataModule, given.roots, seed=given.seed, workers=given.workers)
-    names = [name for name in given.variants.split(",") if name]
+    names = list(filter(None, given.variants.split(",")))
     ablate(names, Budget(given.steps, given.minutes), data, given.output, given.seed)
 
 
