@@ -36,7 +36,7 @@ from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
 from riemlayer.field import ExpLogField
-from riemlayer.heads.maps import MapHead, Prepared
+from riemlayer.heads.branch import MapHead, Prepared
 from riemlayer.queries import lay_out
 from riemlayer.surface import EncodedSurface
 

@@ -1,6 +1,7 @@
 """Triplane hypernetworks, the SIREN of the ablation, and the two maps."""
 
-from riemlayer.heads.maps import Embedding, ExpHead, LogHead, MapOutput
+from riemlayer.heads.branch import Embedding, MapOutput
+from riemlayer.heads.maps import ExpHead, LogHead
 from riemlayer.heads.siren import SirenDecoder
 from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork, sample_triplane
 

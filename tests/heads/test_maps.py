@@ -7,7 +7,8 @@ from references import encoded, lumpy, shaken
 from riemlayer import ExpLogField
 from riemlayer.config import FieldConfig, HeadConfig
 from riemlayer.heads import MapOutput
-from riemlayer.heads.maps import MIDDLE, NEAR, Gate, far_share, read_narrow
+from riemlayer.heads.branch import TRAINED, Gate, read_narrow
+from riemlayer.heads.maps import BEYOND, MIDDLE, NEAR, fan_share
 
 HEADS = {
     "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4,)),
@@ -91,16 +92,18 @@ def test_near_queries_do_not_depend_on_who_else_is_asked():
     """No fan is walked for a source whose queries are all near; their answers are the same."""
     field = field_with(HEADS["walked twice"])
     x = 0.1 * torch.nn.functional.normalize(torch.randn(4, 10, 3).double(), dim=-1)
-    x[:, 5:] *= 4
+    x[:, 5:8] *= 4
+    x[:, 8:] *= 30
     whole, part = answers(field, "log", x), answers(field, "log", x[:, :5])
     torch.testing.assert_close(part.vector, whole.vector[:, :5], rtol=0, atol=1e-12)
 
 
-def test_the_share_of_fans_grows_smoothly_with_the_chord():
-    x = torch.linspace(0, 1, 1001).double()[:, None] * torch.tensor([[0.6, 0, 0.8]]).double()
-    share, length = far_share(x).squeeze(-1), x.norm(dim=-1)
-    assert (share[length <= NEAR] == 0).all() and (share[length >= MIDDLE] == 1).all()
-    assert (share.diff() >= 0).all() and share.diff().diff().abs().max() < 2e-4  # no kink
+def test_the_share_of_fans_changes_smoothly_with_the_chord():
+    x = torch.linspace(0, 2, 2001).double()[:, None] * torch.tensor([[0.6, 0, 0.8]]).double()
+    share, length = fan_share(x).squeeze(-1), x.norm(dim=-1)
+    assert (share[(length <= NEAR) | (length >= BEYOND)] == 0).all()
+    assert (share[(length >= MIDDLE) & (length <= TRAINED)] == 1).all()
+    assert (share >= 0).all() and share.diff().diff().abs().max() < 2e-4
 
 
 def test_validity_does_not_disturb_the_maps():

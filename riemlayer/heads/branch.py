@@ -1,0 +1,178 @@
+"""What the two branches of Fig. 2 share: modulated decoder, validity, gate, look-ups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from riemlayer.config import HeadConfig
+from riemlayer.geometry import LocalPlanes
+from riemlayer.heads.siren import SirenDecoder
+from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork, linear_with_site
+from riemlayer.numerics import outer6, safe_norm
+from riemlayer.octree import Level, interpolate_or_zero
+
+TRAINED = 1.06
+"""Longest vectors of the training data, in radii."""
+STEEPNESS = 50.0
+"""Fall of the validity's logit a radius beyond that."""
+
+
+class Embedding(NamedTuple):
+    """What the heads read: the embedding field of a packed batch of clouds, and its planes."""
+
+    z: Tensor
+    """(n, C) embeddings of the leaves."""
+    narrow: Tensor | None
+    """(n, narrow) a few channels of them, read at end points."""
+    level: Level
+    planes: LocalPlanes
+    finer: tuple[LocalPlanes, ...] = ()
+    """Planes of half the size, a quarter, and so on, for further walks."""
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> Embedding:
+        """The same with `change` applied to every tensor that depends on the cloud."""
+        narrow = None if self.narrow is None else change(self.narrow)
+        planes, *finer = (x.map(change) for x in (self.planes, *self.finer))
+        return Embedding(change(self.z), narrow, self.level.map(change), planes, tuple(finer))
+
+
+class MapOutput(NamedTuple):
+    """Answer of a head, in the normalised cube."""
+
+    vector: Tensor
+    """(S, K, 3): q - p for Exp, v for Log."""
+    validity: Tensor
+    """(S, K) logit: the query lies before the cut locus."""
+
+
+class Prepared(NamedTuple):
+    """What a head looked up in the field: all that its decoder needs to answer K queries a source.
+
+    Of an anchored head the first of the 1 + K rows is the source itself, x = 0.
+    """
+
+    z: Tensor
+    """(S, C) embeddings at the sources."""
+    x: Tensor
+    """(S, 1 + K, 3): v for Exp, q - p for Log; (S, K, 3) where the head is not anchored."""
+    prior: Tensor | None = None
+    """(S, 1 + K, 3) what the answer would be without the decoder; None: not anchored."""
+    told: tuple[Tensor, ...] = ()
+    """(S, 1 + K, ...) what else the decoder is told."""
+    site: Tensor | None = None
+    """(S, ...) what it is told of the sources."""
+
+    @property
+    def first(self) -> int:
+        """Row of the first query."""
+        return 0 if self.prior is None else 1
+
+
+class MapHead(nn.Module):
+    """What both branches share: modulated decoder, and a validity read from its hidden features.
+
+    `prepare` looks up in the field, octree and planes; `answer` is a function of what it found.
+    Validity does not disturb the maps: it sees the hidden features without a gradient.
+    """
+
+    def __init__(self, embedding: int, told: int, radius: float, config: HeadConfig) -> None:
+        super().__init__()
+        self.config, self.radius = config, radius
+        if config.decoder == "siren":
+            self.planes, self.decoder = nn.Identity(), SirenDecoder(embedding, 3 + told, config)
+        else:
+            self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
+            self.decoder = TriplaneDecoder(3 + told, config)
+        self.valid = nn.Linear(config.hidden, 1)
+
+    def forward(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> MapOutput:
+        """Answer to K queries (S, K, 3), v for Exp and q for Log, at each of the sources (S, 3)."""
+        prepared = self.prepare(field, p, x, shape)
+        vector, validity = self.answer(*prepared)
+        return MapOutput(vector[:, prepared.first :], validity[:, prepared.first :])
+
+    def prepare(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> Prepared:
+        """What `answer` takes."""
+        raise NotImplementedError
+
+    def answer(
+        self,
+        z: Tensor,
+        x: Tensor,
+        prior: Tensor | None = None,
+        told: tuple[Tensor, ...] = (),
+        site: Tensor | None = None,
+    ) -> MapOutput:
+        """prior + |x| (f(x) - f(0)), or f(x) where not anchored, and validity, of all rows."""
+        vector, logit = self.decode(z, x, told, z[:, :0] if site is None else site)
+        if prior is not None:
+            vector = prior + safe_norm(x) * (vector - vector[:, :1])
+        return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
+
+    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
+        """Which of query and answer is the tangent vector."""
+        raise NotImplementedError
+
+    def decode(
+        self, z: Tensor, x: Tensor, told: tuple[Tensor, ...], site: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The decoder, modulated by `z` (S, C), at `x` (S, K, 3), with what else it is told.
+
+        Returns its answer (S, K, 3) and the validity's logit (S, K).
+        """
+        return self.decoder(self.planes(z), x / self.radius, told, site, self._logit)
+
+    def _logit(self, hidden: Tensor) -> Tensor:
+        return self.valid(hidden.detach()).squeeze(-1)
+
+    def validity(self, logit: Tensor, v: Tensor) -> Tensor:
+        """The logit (S, K), lowered where the tangent vector `v` (S, K, 3) is too long."""
+        length = safe_norm(v.detach()).squeeze(-1) / self.radius
+        return logit - STEEPNESS * (length - TRAINED).clamp_min(0)
+
+
+class Gate(nn.Module):
+    """Moves the first prior towards each of the others, by a share read from what is told (ours).
+
+    All priors agree with the map to first order at the source, so whatever it says is anchored.
+
+    Shapes: priors (S, K, 3) each, told (S, K, ...), site (S, ...) -> (S, K, 3).
+    """
+
+    def __init__(self, told: int, others: int, hidden: int = 64) -> None:
+        super().__init__()
+        self.first = nn.Linear(told, hidden)
+        self.body = nn.Sequential(
+            nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, others)
+        )
+
+    def forward(self, priors: list[Tensor], told: list[Tensor], site: Tensor) -> Tensor:
+        prior, *others = priors
+        rows = torch.cat(told, -1).flatten(0, 1)
+        source = torch.arange(len(site), device=site.device)[:, None].expand(prior.shape[:2])
+        hidden = linear_with_site(self.first, site, rows, source.flatten())
+        shares = self.body(hidden).sigmoid().to(prior.dtype).unflatten(0, prior.shape[:2])
+        for other, share in zip(others, shares.split(1, -1), strict=True):
+            prior = prior + share * (other - prior)
+        return prior
+
+
+def sites(field: Embedding, p: Tensor, normal: Tensor, shape: Tensor) -> Tensor:
+    """What the planes of every scale say at the sources (S, 12 scales): spectra and normals."""
+    parts = [field.planes.fine.spectra(p, shape), outer6(normal)]
+    for planes in field.finer:
+        parts += [planes.fine.spectra(p, shape), outer6(planes.normal(p, shape))]
+    return torch.cat(parts, -1)
+
+
+def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:
+    """Narrow embedding (S, K, narrow) at points (S, K, 3) of the cube; 0 where there is none."""
+    if field.narrow is None:
+        return x.new_zeros(*x.shape[:2], 0)
+    index = shape[:, None].expand(x.shape[:2]).flatten()
+    value = interpolate_or_zero(field.narrow, field.level, x.flatten(0, 1), index)
+    return value.unflatten(0, x.shape[:2])
