@@ -105,6 +105,27 @@ def test_transport_around_a_triangle_turns_by_its_area(method):
 
 
 @pytest.mark.parametrize("method", ["differential", "ladder"])
+@pytest.mark.parametrize("size", [0.2, 0.7, 1.2])
+def test_the_holonomy_of_a_spherical_triangle_is_its_area(method, size):
+    """Which is the excess of its angles over pi (Girard)."""
+    a, log = sphere_points(1), SPHERE.surface.log
+    v = tangents(SPHERE, a)
+    side = math.cos(1.1) * v + math.sin(1.1) * torch.linalg.cross(a, v)
+    b, c = (SPHERE.surface.exp(a, size * w) for w in (v, side))
+    corners = ((a, b, c), (b, c, a), (c, a, b))
+    area = sum(between(log(p, q), log(p, r)) for p, q, r in corners) - math.pi
+    w = v
+    for p, q, _ in corners:
+        w = SPHERE.transport(p, q, w, method=method)
+    assert between(v, w) == pytest.approx(area, abs=1e-7)
+
+
+def between(v: torch.Tensor, w: torch.Tensor) -> float:
+    """Angle of two vectors (1, 3)."""
+    return float(torch.atan2(torch.linalg.cross(v, w).norm(), (v * w).sum()))
+
+
+@pytest.mark.parametrize("method", ["differential", "ladder"])
 @pytest.mark.parametrize("surface", [Exact(), Exact(Cylinder()), Exact(Plane())])
 def test_transport_keeps_lengths_angles_and_the_geodesics_direction(method, surface):
     generator = torch.Generator().manual_seed(1)

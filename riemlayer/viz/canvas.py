@@ -88,23 +88,26 @@ class Canvas:
         edges = points[faces[:, 1]] - points[faces[:, 0]]
         self.spacing = float(np.linalg.norm(edges, axis=-1).mean())
 
-    def log_slope(self, log: Array) -> Array | None:
-        """(N, 2, 3) derivative of a log map (N, 2) along a cloud, 0 where it is torn; no mesh's."""
-        if self.discs is None:
-            return None
-        slope = slopes(self.points, log, self.discs.neighbours)
-        return slope * (np.linalg.norm(slope, axis=(1, 2)) < STEEPEST)[:, None, None]
+    def slope(self, x: Array, drawn: Array | None = None) -> Array | None:
+        """(N, m, 3) derivative of x (N, m) along a cloud, for its discs; None for a mesh.
 
-    def value_slope(self, values: Array, drawn: Array) -> Array | None:
-        """(N, 1, 3) derivative of numbers (N,) along a cloud, from those that are drawn (N,) bool.
-
-        None for a mesh.
+        Args:
+            x: (N, m) numbers for every point.
+            drawn: (N,) bool: only these points count.
         """
         if self.discs is None:
             return None
-        itself = np.arange(len(values))[:, None]
-        neighbours = np.where(drawn[self.discs.neighbours], self.discs.neighbours, itself)
-        return slopes(self.points, values[:, None], neighbours)
+        neighbours = self.discs.neighbours
+        if drawn is not None:
+            neighbours = np.where(drawn[neighbours], neighbours, np.arange(len(x))[:, None])
+        return slopes(self.points, x, neighbours)
+
+    def log_slope(self, log: Array, drawn: Array | None = None) -> Array | None:
+        """(N, 2, 3) derivative of a log map (N, 2) along a cloud, 0 where it is torn."""
+        slope = self.slope(log, drawn)
+        if slope is None:
+            return None
+        return slope * (np.linalg.norm(slope, axis=(1, 2)) < STEEPEST)[:, None, None]
 
     @cached_property
     def size(self) -> float:

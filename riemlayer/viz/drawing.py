@@ -97,13 +97,14 @@ class Drawing:
             if put["log"] is not None or put["colours"] is not None:
                 raise ValueError("`values` must stand alone, got `log` or `colours` beside them")
             put |= self._numbers(put["values"], put["valid"])
-            put["slope"] = canvas.value_slope(put["values"], put["valid"] >= 0.5)
+            put["slope"] = canvas.slope(put["values"][:, None], put["valid"] >= 0.5)
         if put["log"] is not None:
             whole = np.isfinite(put["log"]).all(1)
             if not whole.all():
                 put["log"] = np.where(whole[:, None], put["log"], 0.0)
                 put["valid"] = whole * (1.0 if put["valid"] is None else put["valid"])
-            put["slope"] = canvas.log_slope(put["log"])
+            drawn = None if put["valid"] is None else put["valid"] >= 0.5
+            put["slope"] = canvas.log_slope(put["log"], drawn)
         for name, value in put.items():
             object.__setattr__(self, name, value)
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from nn.geometry import Case, packed, permuted, sphere, without_edges
+from nn.geometry import Case, angles, packed, permuted, sphere, without_edges
 from torch import nn
 from torch.autograd import gradcheck
 
@@ -130,6 +130,24 @@ def test_gradients_agree_with_differences(reduce):
     g = sphere(5, 3).geometry
     x = torch.randn(5, 2, dtype=torch.float64, requires_grad=True)
     assert gradcheck(lambda x: pool(x, g, CELLS)[0], (x,))
+
+
+def test_gradients_of_unpooling_agree_with_differences():
+    x = torch.randn(2, 3, dtype=torch.float64, requires_grad=True)
+    assert gradcheck(lambda x: GeodesicUnpool()(x, CELLS), (x,))
+
+
+@pytest.mark.parametrize("reduce", ["mean", "max", "attention"])
+def test_turning_the_frames_changes_neither_answers_nor_gradients(reduce):
+    channels = 3 if reduce == "attention" else None
+    pool = GeodesicPool(ratio=0.2, reduce=reduce, channels=channels).double()
+    g, x = sphere(60).geometry, torch.randn(60, 3, dtype=torch.float64, requires_grad=True)
+    (y, cells), (z, same) = pool(x, g), pool(x, g.turned(angles(60)))
+    torch.testing.assert_close(z, y)
+    assert all(torch.equal(a, b) for a, b in zip(cells, same, strict=True))
+    inputs = [x, *pool.parameters()]
+    for a, b in zip(*(torch.autograd.grad(o.square().sum(), inputs) for o in (y, z)), strict=True):
+        torch.testing.assert_close(a, b)
 
 
 def test_counts_and_ratios_of_each_cloud():

@@ -2,17 +2,20 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from references import fibonacci_sphere
 from torch import Tensor, nn
 
 from riemlayer import ExpLogField
 from riemlayer.nn import (
+    AdaptiveGeodesicConv,
     GeodesicConv,
     GeodesicPool,
     GeodesicUnpool,
     HarmonicConv,
     TangentConv,
+    VectorPool,
     magnitudes,
     to_streams,
 )
@@ -56,6 +59,27 @@ def test_a_network_of_three_layers_learns_and_the_field_with_it():
     gradients = [p.grad for p in field.backbone.parameters()]
     assert all(g is not None and bool(g.isfinite().all()) for g in gradients)
     assert sum(float(g.abs().sum()) for g in gradients if g is not None) > 0
+
+
+@pytest.mark.parametrize("name", ["tangent", "geodesic", "harmonic", "adaptive", "pool"])
+def test_coincident_points_give_finite_gradients_to_the_points_and_the_field(name):
+    """Every point is there twice, so that a neighbour of each lies at distance 0."""
+    field = ExpLogField.from_preset("tiny")
+    points = fibonacci_sphere(60).float().repeat(2, 1).requires_grad_()
+    surface = field.encode(points)
+    geometry = local_geometry(surface, k=8)
+    assert bool((geometry.r < 1e-6).any())
+    layers = {
+        "tangent": lambda: TangentConv(3, 2)(points, geometry),
+        "geodesic": lambda: GeodesicConv(3, 2)(points, geometry),
+        "harmonic": lambda: magnitudes(HarmonicConv(3, 2)(to_streams(points, 2), geometry)),
+        "adaptive": lambda: AdaptiveGeodesicConv(3, 2)(points, geometry, surface),
+        "pool": lambda: VectorPool()(geometry.log.view(120, -1, 2), geometry),
+    }
+    layers[name]().square().sum().backward()
+    gradients = [points.grad, *(p.grad for p in field.backbone.parameters())]
+    assert all(g is not None and bool(g.isfinite().all()) for g in gradients)
+    assert all(float(g.abs().max()) > 0 for g in gradients[:2] if g is not None)
 
 
 def test_a_frozen_field_gets_no_gradient():

@@ -1,7 +1,8 @@
 """Transport of coordinates against transport of ambient vectors, and means of parallel fields."""
 
 import torch
-from nn.geometry import plane, sphere
+from nn.geometry import packed, permuted, plane, sphere
+from torch.autograd import gradcheck
 
 from riemlayer.nn import ParallelTransport, VectorPool
 
@@ -46,3 +47,32 @@ def test_means_of_a_random_field_shrink_it():
     x = torch.randn(200, 1, 2, dtype=torch.float64)
     y = VectorPool()(x, sphere(200).geometry)
     assert float(y.norm(dim=-1).mean()) < 0.75 * float(x.norm(dim=-1).mean())
+
+
+def test_carrying_is_told_of_edges_in_any_order_of_the_points():
+    case, order = sphere(), torch.randperm(40)
+    other = permuted(case, order)
+    x = torch.randn(40, 3, 2, dtype=torch.float64)
+    carried, again = (
+        ParallelTransport()(x, case.geometry),
+        ParallelTransport()(x[order], other.geometry),
+    )
+    ends, others = case.geometry.edge_index, order[other.geometry.edge_index]
+    place = [(40 * b + a).argsort() for a, b in (ends, others)]
+    torch.testing.assert_close(again[place[1]], carried[place[0]])
+
+
+def test_carrying_in_a_packed_batch_is_that_of_its_clouds_one_by_one():
+    together, alone = packed(20, 33, 12)
+    x = torch.randn(65, 3, 2, dtype=torch.float64)
+    parts = zip(x.split((20, 33, 12)), alone, strict=True)
+    expected = torch.cat([ParallelTransport()(y, case.geometry) for y, case in parts])
+    torch.testing.assert_close(ParallelTransport()(x, together.geometry), expected)
+
+
+def test_gradients_of_carrying_agree_with_differences():
+    g = sphere(5, 3).geometry
+    x = torch.randn(5, 2, 2, dtype=torch.float64, requires_grad=True)
+    angle = g.transport.clone().requires_grad_()
+    carry = ParallelTransport()
+    assert gradcheck(lambda x, t: carry(x, g._replace(transport=t)), (x, angle))

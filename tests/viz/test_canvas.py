@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from flat import flat_canvas, grid
 
-from riemlayer.viz import Canvas, subdivide
+from riemlayer.viz import Canvas, Drawing, subdivide
 from riemlayer.viz.cloud import neighbourhoods
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
@@ -104,9 +104,22 @@ def test_slope_of_values_is_not_that_of_the_hidden_ones():
     canvas = flat_canvas(mesh=False)
     x = canvas.points[:, 0]
     drawn = x < 0.3
-    slope = canvas.value_slope(np.where(drawn, 7 * x, -1e6), drawn)
+    slope = canvas.slope(np.where(drawn, 7 * x, -1e6)[:, None], drawn)
     assert slope is not None
     assert np.allclose(slope[drawn & (x > -0.49)], [[7, 0, 0]], atol=0.4)
+
+
+def test_a_map_goes_on_up_to_its_border_and_hidden_points_do_not_bend_it():
+    canvas = flat_canvas(mesh=False)
+    log = canvas.points[:, :2].copy()
+    drawn = log[:, 0] < 0.3
+    cut = Drawing(canvas, log=np.where(drawn[:, None], log, np.nan))
+    masked = Drawing(canvas, log=np.where(drawn[:, None], log, 1.0), valid=drawn)
+    inner = drawn & (np.abs(log) < 0.45).all(1)
+    assert (inner & (log[:, 0] > 0.2)).any(), "points beside the border"
+    for drawing in (cut, masked):
+        assert drawing.slope is not None
+        assert np.allclose(drawing.slope[inner], np.eye(3)[:2], atol=0.05)
 
 
 def test_given_normals_are_kept():
