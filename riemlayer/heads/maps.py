@@ -73,19 +73,19 @@ class ExpHead(MapHead):
 class LogHead(MapHead):
     """Log_p(q) = prior(x) + |x| (h(x) - h(0)) with x = q - p (ours).
 
-    The first prior lays the chord flat on the tangent plane of the cloud at p. Beyond `NEAR` the
-    logs on fans of geodesics, walked from p over the same planes as those of Exp, are further
-    ones, and a gate decides between them. h sees the triplane of z(p) at x, the priors, the planes
-    at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by
-    construction. With `anchored=False` it is the paper's LogNet: v = h(x).
+    Near p the prior lays the chord flat on the tangent plane of the cloud. Further away it is read
+    from fans of geodesics, walked from p over the same planes as those of Exp; a gate decides
+    between them. h sees the triplane of z(p) at x, the priors, the planes at p, and the narrow
+    embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by construction. With
+    `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         scales = max(1, len(config.walk_steps))
-        fans = len(config.walk_steps) if config.fan_rays else 0
-        told = 3 + FAN * fans + 2 * config.narrow + 12 * scales if config.anchored else 0
+        self.fans = len(config.walk_steps) if config.fan_rays else 0
+        told = 3 + FAN * self.fans + 2 * config.narrow + 12 * scales if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, fans) if config.anchored and fans else None
+        self.gate = Gate(told, self.fans - 1) if self.fans > 1 else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -96,22 +96,23 @@ class LogHead(MapHead):
         normal = field.planes.normal(p, shape)
         flat = lay_flat(field.planes, normal, x)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        told, priors = [(flat - x) / self.radius, *passed], [flat]
-        site = sites(field, p, normal, shape)
-        if self.gate is None:
-            return Prepared(z, x, flat, tuple(told), site)
-        for planes in (field.planes, *field.finer):
+        told, priors = [(flat - x) / self.radius, *passed], []
+        for planes in (field.planes, *field.finer)[: self.fans]:
             fan, known = self.on_fan(planes, p, x, flat, shape)
             priors.append(fan)
             told.append(known)
-        return Prepared(z, x, self.gate(priors, told, site), tuple(told), site)
+        site = sites(field, p, normal, shape)
+        prior = priors[0] if priors else flat
+        if self.gate is not None:
+            prior = self.gate(priors, told, site)
+        return Prepared(z, x, prior, tuple(told), site)
 
     def on_fan(
         self, planes: LocalPlanes, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Logs on the fans of one scale (S, K, 3), and what is told of them (S, K, FAN).
 
-        Only sources and queries that a fan has a share in are looked at.
+        Only sources and queries in which fans have a share are looked at; others stay `flat`.
         """
         share = fan_share(x / self.radius)
         asked = share.detach().squeeze(-1) > 0
