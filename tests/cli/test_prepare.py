@@ -22,13 +22,13 @@ def asked(monkeypatch):
 def test_procedural_shapes_are_asked_of_the_library(well, asked, tmp_path):
     words = ["prepare", "--procedural", 4, "--seed", 7, "-o", tmp_path / "out", "--workers", 3]
     facts = well(*words, "--json").facts
-    assert asked == [(4, 7, tmp_path / "out", 3)]
+    assert asked == [(4, 7, tmp_path / "out", 3, None)]
     assert facts == {"out": str(tmp_path / "out"), "written": 3, "skipped": 1, "failed": 0}
 
 
 def test_folders_and_files_of_meshes_are_asked_of_the_library(well, asked, shapes, tmp_path):
     done = well("prepare", shapes, shapes / "ball.obj", "-o", tmp_path / "out")
-    ((paths, out, workers),) = asked
+    ((paths, out, workers, _, _),) = asked
     assert sorted(x.name for x in paths) == ["ball.obj", "ball.obj", "ball.ply"]
     assert (out, workers) == (tmp_path / "out", 2)
     assert "3 written, 1 already there" in done.stdout
@@ -66,7 +66,7 @@ def test_bad_meshes_are_named(run, tmp_path, refused):
     (tmp_path / "in" / "bad.obj").write_text("v 0 0 0\nv 1 one 1\nf 1 2 3\n")
     done = run("prepare", tmp_path / "in", "-o", tmp_path / "out", "--workers", 1)
     refused(done, "failures.jsonl", "bad")
-    assert [x.name for x in (tmp_path / "out").iterdir()] == ["failures.jsonl"]
+    assert sorted(x.name for x in (tmp_path / "out").glob("[!.]*")) == ["failures.jsonl"]
 
 
 @pytest.mark.slow
