@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,9 @@ Job = Callable[[], Any]
 Work = Callable[[str, Job, Path], str | None]
 
 
-def connect(address: str) -> tuple[AbstractContextManager, int]:
-    """joblib's configuration for a cluster, and the cores of the cluster.
+@contextmanager
+def connected(address: str) -> Iterator[int]:
+    """Lets joblib run on a cluster meanwhile; the number of its cores.
 
     Args:
         address: `ray` for the cluster that RAY_ADDRESS names, this machine where it is not set;
@@ -35,29 +36,45 @@ def connect(address: str) -> tuple[AbstractContextManager, int]:
     Raises:
         ValueError: another address, or one where no cluster answers.
     """
+    if address == "ray" or address.startswith("ray://"):
+        with _ray(None if address == "ray" else address) as cores:
+            yield cores
+    elif address.startswith(("tcp://", "tls://")):
+        with _dask(address) as cores:
+            yield cores
+    else:
+        known = "ray, ray://HOST:PORT or tcp://HOST:PORT (Dask)"
+        raise ValueError(f"cluster must be {known}, got {address}")
+
+
+@contextmanager
+def _ray(address: str | None) -> Iterator[int]:
+    import ray
+    from joblib import parallel_config
+    from ray.util.joblib import register_ray
+
+    register_ray()
+    try:
+        ray.init(address, ignore_reinit_error=True, log_to_driver=False)
+    except ConnectionError as error:
+        raise ValueError(
+            f"no Ray cluster answers at {address or 'RAY_ADDRESS'}: {error}"
+        ) from error
+    with parallel_config("ray"):
+        yield int(ray.cluster_resources()["CPU"])
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[int]:
+    from distributed import Client
     from joblib import parallel_config
 
-    if address == "ray" or address.startswith("ray://"):
-        import ray
-        from ray.util.joblib import register_ray
-
-        register_ray()
-        try:
-            own = None if address == "ray" else address
-            ray.init(own, ignore_reinit_error=True, log_to_driver=False)
-        except ConnectionError as error:
-            raise ValueError(f"no Ray cluster answers at {address}: {error}") from error
-        return parallel_config("ray"), int(ray.cluster_resources()["CPU"])
-    if address.startswith(("tcp://", "tls://")):
-        from distributed import Client
-
-        try:
-            client = Client(address)
-        except OSError as error:
-            raise ValueError(f"no Dask scheduler answers at {address}: {error}") from error
-        return parallel_config("dask"), sum(client.ncores().values())  # pyright: ignore
-    known = "ray, ray://HOST:PORT or tcp://HOST:PORT (Dask)"
-    raise ValueError(f"cluster must be {known}, got {address}")
+    try:
+        client = Client(address)
+    except OSError as error:
+        raise ValueError(f"no Dask scheduler answers at {address}: {error}") from error
+    with client, parallel_config("dask"):
+        yield sum(client.ncores().values())  # pyright: ignore
 
 
 def cluster_results(
@@ -72,9 +89,8 @@ def cluster_results(
         OSError: a sample could not be written.
         RuntimeError: a round failed each time; finished samples stay.
     """
-    settings, cores = connect(address)
     queue = iter(todo.items())
-    with settings:
+    with connected(address) as cores:
         while chunk := dict(islice(queue, ROUND * cores)):
             yield from _round(chunk, out.absolute(), cores, work, seconds)
 

@@ -49,7 +49,7 @@ def prepare_procedural(
         seed: of the first shape; each shape depends on its own seed alone.
         out: folder, made where missing. Finished files are not made again.
         workers: processes.
-        cluster: where to run instead, see `riemlayer.data.cluster.connect`; all see `out`.
+        cluster: where to run instead, see `riemlayer.data.cluster.connected`; all see `out`.
 
     Raises:
         OSError: the folder cannot be written (a full disk); every finished file stays valid.
@@ -73,7 +73,7 @@ def prepare_meshes(
         out: folder, made where missing. Finished files are not made again.
         workers: processes.
         licences: licence of each folder's meshes, for the metadata.
-        cluster: where to run instead, see `riemlayer.data.cluster.connect`; all see the files.
+        cluster: where to run instead, see `riemlayer.data.cluster.connected`; all see the files.
 
     Raises:
         OSError: the folder cannot be written (a full disk); every finished file stays valid.
