@@ -107,8 +107,18 @@ class ShardedSamples:
             warnings.warn(f"{which}; another takes its place ({bad} so far)", stacklevel=2)
 
     def _read(self, k: int) -> dict[str, Tensor]:
-        from fsspec.core import url_to_fs
         from safetensors.torch import load
+
+        return check_sample(load(self.fetch(k)), str(self.table["name"][k]))
+
+    def fetch(self, k: int) -> bytes:
+        """The file of sample k.
+
+        Raises:
+            OSError: the file system's own error.
+            ValueError: the checksum is not that of the manifest.
+        """
+        from fsspec.core import url_to_fs
 
         row = self.table[k]
         files, path = url_to_fs(self.shards[row["shard"]])  # cached, and a new one after a fork
@@ -118,7 +128,7 @@ class ShardedSamples:
             raise ValueError("the server ignores ranges: it must answer requests for a part")
         if hashlib.sha256(data).hexdigest() != row["sha256"].decode():
             raise ValueError(f"checksum of {len(data)} bytes differs from the manifest's")
-        return check_sample(load(data), str(row["name"]))
+        return data
 
 
 class StreamedShapes(ShapeDataset):
