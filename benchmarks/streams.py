@@ -30,7 +30,7 @@ from lightning_modules.datamodule import SeededSampler
 from riemlayer.data.shards import pack
 from riemlayer.data.stream import ShardedSamples
 
-SIZE, ROUNDS, WORKERS = 16, 3, (0, 2)
+SIZE, ROUNDS, WORKERS = 16, 2, (0, 2)
 """Samples a shard; passes over the data, of which the fastest counts; processes that load."""
 
 
