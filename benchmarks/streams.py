@@ -26,7 +26,6 @@ from typing import Any
 
 from torch.utils.data import DataLoader, Dataset
 
-from lightning_modules.datamodule import SeededSampler
 from riemlayer.data.shards import pack
 from riemlayer.data.stream import ShardedSamples
 
@@ -125,6 +124,8 @@ def digest_sample(sample: dict[str, Any]) -> str:
 
 def read_by_place(out: Path, workers: int) -> Iterable[str]:
     """riemlayer's reader, shuffled."""
+    from lightning_modules.datamodule import SeededSampler
+
     data = ByPlace(out)
     sampler = SeededSampler(len(data), seed=0, shuffle=True)
     return Counted(data, 1, sampler=sampler, num_workers=workers, collate_fn=first)
