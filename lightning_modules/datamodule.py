@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import lightning as L
@@ -13,6 +14,7 @@ from torch.utils.data import DataLoader, Sampler
 
 from riemlayer.data.augment import Augmentation, TrainingSample
 from riemlayer.data.dataset import ShapeDataset, sample_files, split
+from riemlayer.data.stream import ShardedSamples, StreamedShapes, is_sharded
 from riemlayer.losses import Truth
 
 
@@ -87,10 +89,11 @@ class SeededSampler(Sampler[tuple[int, int]]):
 
 
 class ExpLogDataModule(L.LightningDataModule):
-    """Training and validation shapes from one or several folders of prepared samples.
+    """Training and validation shapes from prepared samples: files, or shards to stream.
 
     Args:
-        roots: folders written by `riemlayer.data.prepare`.
+        roots: folders of samples, written by `riemlayer.data.prepare`; or folders and URLs of
+            shards, written by `riemlayer.data.shards.pack`, such as `s3://bucket/shards`.
         batch_size: shapes a step.
         sources, vectors: sources a shape and queries a source; 13 x 768 is the paper's 10,000.
         augmentation: what may happen to a training cloud.
@@ -99,6 +102,7 @@ class ExpLogDataModule(L.LightningDataModule):
         seed: of order and augmentation.
         workers: processes that load data.
         tau: threshold of the filter, Eq. (8), in training; validation is always filtered by 0.5.
+        corrupt: fraction of samples in shards that may be unreadable before the run stops.
     """
 
     def __init__(
@@ -113,22 +117,30 @@ class ExpLogDataModule(L.LightningDataModule):
         seed: int = 0,
         workers: int = 0,
         tau: float = 0.5,
+        corrupt: float = 0.01,
     ) -> None:
         super().__init__()
         self.roots, self.batch_size = roots, batch_size
         self.sources, self.vectors = sources, vectors
         self.augmentation = augmentation or Augmentation()
         self.validation, self.limit_validation = validation, limit_validation
-        self.seed, self.workers, self.tau = seed, workers, tau
+        self.seed, self.workers, self.tau, self.corrupt = seed, workers, tau, corrupt
         self.sampler: SeededSampler | None = None
 
     def setup(self, stage: str) -> None:
-        """Lists the files; called by the trainer."""
-        train, held = split(sample_files(self.roots), self.validation)
-        self.train = ShapeDataset(train, self.augmentation, self.sources, self.vectors, self.tau)
+        """Lists the samples; called by the trainer."""
+        shapes, train, held = self._shapes()
+        self.train = shapes(train, self.augmentation, self.sources, self.vectors, self.tau)
         still = Augmentation.none()
-        self.held = ShapeDataset(held[: self.limit_validation], still, self.sources, self.vectors)
+        self.held = shapes(held[: self.limit_validation], still, self.sources, self.vectors)
         self.sampler = self._sampler(len(train), shuffle=True)
+
+    def _shapes(self) -> tuple[Callable[..., ShapeDataset], Sequence[Any], Sequence[Any]]:
+        """What makes a data set, and the shapes to train on and to hold out that it takes."""
+        if not any(is_sharded(root) for root in self.roots):
+            return ShapeDataset, *split(sample_files(self.roots), self.validation)
+        samples = ShardedSamples(self.roots, self.corrupt)
+        return partial(StreamedShapes, samples), *samples.split(self.validation)
 
     def train_dataloader(self) -> DataLoader:
         """Shapes in a new order each epoch."""

@@ -12,6 +12,7 @@ EXTRAS = {
     ],
     "viz": ["pyvista", "vtk", "matplotlib", "PIL"],
     "cli": ["lightning", "jsonargparse"],
+    "scale": ["ray", "distributed", "webdataset", "cloudpickle"],
     "deploy": ["onnx", "onnxscript", "onnxruntime"],
 }
 """Packages that each extra of riemlayer brings, by the names they are imported by."""

@@ -1,4 +1,4 @@
-"""`riemlayer prepare`, `pretrain` and `tables`."""
+"""`riemlayer pretrain` and `tables`."""
 
 from __future__ import annotations
 
@@ -19,14 +19,11 @@ from riemlayer.cli.errors import UserError
 from riemlayer.cli.loaded import check_weights
 from riemlayer.cli.options import Weights
 from riemlayer.cli.output import whole_file
-
-PANEL = "Training and evaluation"
-Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.", metavar="DIR")]
+from riemlayer.cli.prepare import PANEL, Folder, check_folder
 
 
 def register(app: typer.Typer) -> None:
     """Adds the subcommands of this file."""
-    command(app, "riemlayer prepare MESHES -o DIR --workers 2", PANEL, bar=False)(prepare)
     command(
         app,
         "riemlayer pretrain DIR -o runs/mine --steps 20000",
@@ -37,72 +34,13 @@ def register(app: typer.Typer) -> None:
     command(app, "riemlayer tables --fast -o tables", PANEL, bar=False)(tables)
 
 
-def prepare(
-    out: Folder,
-    meshes: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Mesh files, or folders of them.", show_default=False),
-    ] = None,
-    procedural: Annotated[
-        int | None,
-        typer.Option(help="Make this many procedural shapes instead.", min=1, show_default=False),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of the first procedural shape.", min=0)] = 0,
-    workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 2,
-) -> Answer:
-    """Training data: watertight, remeshed shapes with traced geodesics (Sec. 4.1).
-
-    A run that stopped is continued by the same call. Shapes that cannot be prepared are named, with
-    the reason, in failures.jsonl.
-    """
-    from riemlayer.data.prepare import find_meshes, prepare_meshes, prepare_procedural
-
-    if bool(meshes) == (procedural is not None):
-        raise UserError("meshes: give mesh files or folders, or --procedural N")
-    check_folder(out, *(meshes or ()))
-    if procedural is not None:
-        report = prepare_procedural(procedural, seed, out, workers)
-    else:
-        paths: list[Path] = []
-        for path in meshes or ():
-            if not path.exists():
-                raise UserError(f"{path} does not exist; check the name and the folder")
-            try:
-                paths += find_meshes(path) if path.is_dir() else [path]
-            except ValueError as error:
-                raise UserError(str(error)) from error
-        report = prepare_meshes(paths, out, workers)
-    facts = {"out": str(out), **vars(report)}
-    if report.failed and not (report.written or report.skipped):
-        raise UserError(
-            f"{out}/failures.jsonl: none of {report.failed} shapes could be prepared, the first: "
-            f"{first_failure(out)}"
-        )
-    text = f"{out}: {report.written} written, {report.skipped} already there"
-    failed = f", {report.failed} failed (reasons in failures.jsonl)" if report.failed else ""
-    return Answer(facts, text + failed)
-
-
-def first_failure(folder: Path) -> str:
-    """Reason of the first line of failures.jsonl."""
-    line = (folder / "failures.jsonl").read_text("utf-8").splitlines()[0]
-    return "{name}: {reason}".format(**json.loads(line))
-
-
-def check_folder(out: Path, *inputs: Path) -> None:
-    """Refuses a folder to write to that is a file, or one of the inputs."""
-    if out.exists() and not out.is_dir():
-        raise UserError(f"--out {out} is a file; name a folder")
-    if any(path.is_dir() and out.is_dir() and path.samefile(out) for path in inputs):
-        raise UserError(f"--out {out} is an input, which is never written to; name another")
-
-
 def pretrain(
     samples: Annotated[
         list[str],
         typer.Argument(
             metavar="DIR...",
-            help="Folders by `riemlayer prepare`, then any flags of Lightning's command line.",
+            help="Folders by `riemlayer prepare`, or folders or URLs of its shards; then any flags "
+            "of Lightning's command line.",
         ),
     ],
     out: Folder,
@@ -212,19 +150,24 @@ def precision() -> str:
     return "bf16-mixed" if native else "32-true"
 
 
-def held_out(folders: list[str]) -> float:
+def held_out(roots: list[str]) -> float:
     """The fraction of shapes to validate on: 3 %, or as much more as one shape takes."""
     from riemlayer.data.dataset import sample_files, split
+    from riemlayer.data.stream import ShardedSamples, is_sharded
 
     try:
-        files = sample_files(folders)
+        if any(is_sharded(root) for root in roots):
+            samples = ShardedSamples(roots)
+            names = [Path(str(name)) for name in samples.table["name"]]
+        else:
+            names = sample_files(roots)
     except FileNotFoundError as error:
         raise UserError(f"{error}; make some with riemlayer prepare") from error
     for percent in range(3, 100):
-        train, held = split(files, percent / 100)
+        train, held = split(names, percent / 100)
         if train and held:
             return percent / 100
-    raise UserError(f"{' '.join(folders)}: holds {len(files)} shapes, too few to hold one out")
+    raise UserError(f"{' '.join(roots)}: holds {len(names)} shapes, too few to hold one out")
 
 
 @contextlib.contextmanager
@@ -238,6 +181,13 @@ def library_run() -> Iterator[None]:
             raise SystemExit(128 + signal.SIGINT) from end
         if end.code is None:  # Lightning, after SIGTERM
             raise SystemExit(128 + signal.SIGTERM) from end
+        raise
+    except RuntimeError as error:
+        if "DataLoader worker" in str(error):
+            raise UserError(
+                "a process that loads data was killed, perhaps for want of memory; the same call "
+                f"goes on from the last checkpoint ({error})"
+            ) from error
         raise
 
 

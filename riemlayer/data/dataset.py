@@ -27,9 +27,14 @@ def read_sample(path: str | Path) -> dict[str, Tensor]:
             sample = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise ValueError(f"sample file {path} is truncated or corrupt: {error}") from error
+    return check_sample(sample, f"file {path}")
+
+
+def check_sample(sample: dict[str, Tensor], what: str) -> dict[str, Tensor]:
+    """The sample; ValueError names `what` lacks a tensor."""
     missing = [name for name in REQUIRED if name not in sample]
     if missing:
-        raise ValueError(f"sample file {path} lacks {missing}; prepare it again")
+        raise ValueError(f"sample {what} lacks {missing}; prepare it again")
     return sample
 
 
@@ -48,8 +53,15 @@ def sample_files(roots: str | Path | Sequence[str | Path]) -> list[Path]:
 
 def split(files: Sequence[Path], fraction: float) -> tuple[list[Path], list[Path]]:
     """Training and validation files; the hash of its name decides a file's side for good."""
-    held = [f for f in files if zlib.crc32(f.stem.encode()) % 10_000 < fraction * 10_000]
-    return [f for f in files if f not in set(held)], held
+    train, held = [], []
+    for file in files:
+        (held if held_out(file.stem, fraction) else train).append(file)
+    return train, held
+
+
+def held_out(name: str, fraction: float) -> bool:
+    """Whether a shape of this name belongs to the validation set."""
+    return zlib.crc32(name.encode()) % 10_000 < fraction * 10_000
 
 
 class ShapeDataset(Dataset):
@@ -82,10 +94,14 @@ class ShapeDataset(Dataset):
         i, seed = item
         generator = torch.Generator().manual_seed(seed)
         return training_sample(
-            read_sample(self.files[i]),
+            self.read(i),
             self.augmentation,
             generator,
             self.sources,
             self.vectors,
             self.tau,
         )
+
+    def read(self, i: int) -> dict[str, Tensor]:
+        """Tensors of shape i."""
+        return read_sample(self.files[i])

@@ -7,7 +7,6 @@ python -m riemlayer.data.prepare --meshes DIR -o DIR
 from __future__ import annotations
 
 import argparse
-import json
 import random
 import re
 import signal
@@ -21,6 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
+from riemlayer.data.cluster import cluster_results, died
+from riemlayer.data.run_folder import drop_half_line, only_run, read_failures, record_failure
 from riemlayer.data.sample_file import RECIPE, remove_stale, write_sample
 
 MESH_SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb", ".gltf", ".dae")
@@ -38,7 +39,9 @@ class Report:
     failed: int
 
 
-def prepare_procedural(n: int, seed: int, out: str | Path, workers: int = 2) -> Report:
+def prepare_procedural(
+    n: int, seed: int, out: str | Path, workers: int = 2, cluster: str | None = None
+) -> Report:
     """Writes `procedural-<seed + i>.safetensors` for i < n into `out` (ours).
 
     Args:
@@ -46,12 +49,14 @@ def prepare_procedural(n: int, seed: int, out: str | Path, workers: int = 2) -> 
         seed: of the first shape; each shape depends on its own seed alone.
         out: folder, made where missing. Finished files are not made again.
         workers: processes.
+        cluster: where to run instead, see `riemlayer.data.cluster.connected`; all see `out`.
 
     Raises:
         OSError: the folder cannot be written (a full disk); every finished file stays valid.
+        FolderInUse: another run is writing to `out`.
     """
     jobs = {f"procedural-{s:06d}": partial(procedural_sample, s) for s in range(seed, seed + n)}
-    return run(jobs, Path(out), workers)
+    return run(jobs, Path(out), workers, cluster=cluster)
 
 
 def prepare_meshes(
@@ -59,6 +64,7 @@ def prepare_meshes(
     out: str | Path,
     workers: int = 2,
     licences: Mapping[str, str] | None = None,
+    cluster: str | None = None,
 ) -> Report:
     """Writes `mesh-<folder>-<stem>.safetensors` for every mesh file into `out` (ours).
 
@@ -67,9 +73,11 @@ def prepare_meshes(
         out: folder, made where missing. Finished files are not made again.
         workers: processes.
         licences: licence of each folder's meshes, for the metadata.
+        cluster: where to run instead, see `riemlayer.data.cluster.connected`; all see the files.
 
     Raises:
         OSError: the folder cannot be written (a full disk); every finished file stays valid.
+        FolderInUse: another run is writing to `out`.
         ValueError: two files would have the same name.
     """
     jobs: dict[str, Callable[[], Content]] = {}
@@ -78,8 +86,8 @@ def prepare_meshes(
         name = re.sub(r"[^\w.-]", "_", f"mesh-{folder}-{path.stem}")
         if name in jobs:
             raise ValueError(f"paths must differ in folder or stem, {path} repeats {name}")
-        jobs[name] = partial(mesh_sample, path, name, (licences or {}).get(folder, ""))
-    return run(jobs, Path(out), workers)
+        jobs[name] = partial(mesh_sample, path.absolute(), name, (licences or {}).get(folder, ""))
+    return run(jobs, Path(out), workers, cluster=cluster)
 
 
 Content = tuple[dict, dict[str, str]]
@@ -131,35 +139,44 @@ def run(
     out: Path,
     workers: int,
     seconds: int = SECONDS_A_SHAPE,
+    cluster: str | None = None,
 ) -> Report:
     """Runs the jobs whose file is missing, each in a worker; failures go to failures.jsonl (ours).
 
     A job that raises, hangs or kills its worker is recorded with the reason and not tried again
     by a later run: delete its line to retry it.
     """
+    with only_run(out):
+        return _run(jobs, out, workers, seconds, cluster)
+
+
+def _run(
+    jobs: Mapping[str, Callable[[], Content]],
+    out: Path,
+    workers: int,
+    seconds: int,
+    cluster: str | None,
+) -> Report:
     from tqdm import tqdm
 
-    out.mkdir(parents=True, exist_ok=True)
     remove_stale(out)
-    failures = out / "failures.jsonl"
-    done = {file.stem for file in out.glob("*.safetensors")} | _recorded(failures)
+    drop_half_line(out)
+    done = {file.stem for file in out.glob("[!.]*.safetensors")} | {*read_failures(out)}
     todo = {name: job for name, job in jobs.items() if name not in done}
+    if cluster is None:
+        results = _results(todo, out, workers, seconds)
+    else:
+        results = cluster_results(todo, out, cluster, partial(_work, seconds=seconds), seconds)
     failed = 0
     finished = len(jobs) - len(todo)
     with tqdm(total=len(jobs), initial=finished, unit="shape", delay=2, disable=None) as bar:
-        for name, reason in _results(todo, out, workers, seconds):
+        for name, reason in results:
             if reason is not None:
                 failed += 1
-                with open(failures, "a") as file:
-                    file.write(json.dumps({"name": name, "reason": reason}) + "\n")
+                record_failure(out, name, reason)
             bar.set_postfix(failed=failed)
             bar.update()
     return Report(len(todo) - failed, len(jobs) - len(todo), failed)
-
-
-def _recorded(failures: Path) -> set[str]:
-    lines = failures.read_text().splitlines() if failures.exists() else []
-    return {json.loads(line)["name"] for line in lines if line.endswith("}")}
 
 
 def _results(
@@ -167,12 +184,14 @@ def _results(
 ) -> Iterator[tuple[str, str | None]]:
     """Pairs of name and reason of failure, as they come; at most `workers` jobs are under way.
 
-    When a worker dies, the jobs under way are repeated one by one: one that dies alone failed.
+    When a worker dies, the jobs under way are repeated one by one: one that dies again failed.
     """
-    queue, suspects = list(todo.items())[::-1], []
+    queue, suspects, alone = list(todo.items())[::-1], [], False
     running: dict[Future, tuple[str, Callable[[], Content]]] = {}
     while queue or suspects or running:
-        source, limit = (suspects, 1) if suspects else (queue, workers)
+        if not running:
+            alone = bool(suspects)
+        source, limit = (suspects, 1) if alone else (queue, workers)
         while source and len(running) < limit:
             name, job = source.pop()
             running[_submit(workers, name, job, out, seconds)] = name, job
@@ -180,8 +199,8 @@ def _results(
         if not any(isinstance(future.exception(), BrokenProcessPool) for future in done):
             for future in done:
                 yield running.pop(future)[0], future.result()
-        elif len(running) == 1:
-            yield running.popitem()[1][0], f"the worker died or took more than {seconds} s"
+        elif alone:
+            yield running.popitem()[1][0], died(seconds)
         else:
             suspects = list(running.values())
             running.clear()

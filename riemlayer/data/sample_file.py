@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,22 @@ def write_sample(
     Raises:
         OSError: the disk is full or not writable; nothing is left behind.
     """
+    with whole_or_not_at_all(path) as file:
+        file.write(_serialise(tensors, metadata))
+
+
+@contextmanager
+def whole_or_not_at_all(path: str | Path) -> Iterator[BinaryIO]:
+    """A hidden temporary file that takes the name `path` once it is on the disk (ours).
+
+    Raises:
+        OSError: the disk is full or not writable; nothing is left behind.
+    """
     path = Path(path)
-    data = _serialise(tensors, metadata)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with open(temporary, "wb") as file:
-            file.write(data)
+        with open(temporary, "w+b") as file:
+            yield file
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)

@@ -161,7 +161,7 @@ def test_a_full_disk_stops_the_run_and_what_is_there_stays_readable(tmp_path):
         run(jobs(2) | {"large": too_large} | {"later": job(9)}, tmp_path, workers=1)
     get_reusable_executor().shutdown(wait=True, kill_workers=True)  # its limit must not stay
     assert sorted(contents(tmp_path)) == ["s0.safetensors", "s1.safetensors"]
-    assert not list(tmp_path.glob(".*"))
+    assert not list(tmp_path.glob(".*.tmp"))
     assert run(jobs(3), tmp_path, workers=2).written == 1
 
 

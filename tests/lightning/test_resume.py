@@ -2,10 +2,14 @@
 
 import json
 import math
+import multiprocessing
+import os
+import signal
 
 import lightning as L
 import pytest
 import torch
+from http_folder import served
 from lightning.pytorch.callbacks import ModelCheckpoint, Timer
 from safetensors.torch import load_file
 
@@ -13,6 +17,7 @@ from lightning_modules import ExpLogDataModule, ExpLogPretraining, ExponentialAv
 from lightning_modules.export import export
 from riemlayer import ExpLogField
 from riemlayer.data.augment import Augmentation
+from riemlayer.data.shards import pack
 from riemlayer.losses import LossWeights
 
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:lightning")  # it talks of its own matters
@@ -39,10 +44,30 @@ class KilledError(Exception):
     pass
 
 
-def run(folder, where, kill_at: int | None = None, resume: bool = False, workers: int = 0) -> Watch:
+class KillWorker(Watch):
+    """Ends one process that loads data, as the system does when memory runs out."""
+
+    def on_train_batch_start(self, trainer, pl_module, batch, batch_idx) -> None:
+        if trainer.global_step + 1 == self.kill_at:
+            worker = multiprocessing.active_children()[0]
+            os.kill(worker.pid, signal.SIGKILL)
+            worker.join()
+
+    def on_train_batch_end(self, trainer, pl_module, outputs, batch, batch_idx) -> None:
+        self.losses[trainer.global_step] = float(outputs["loss"].detach())
+
+
+def run(
+    folder,
+    where,
+    kill_at: int | None = None,
+    resume: bool = False,
+    workers: int = 0,
+    watching: type[Watch] = Watch,
+) -> Watch:
     """Train a tiny field; the checkpoint of the last step stays in `where`."""
     torch.manual_seed(1)
-    watch = Watch(kill_at)
+    watch = watching(kill_at)
     keep = ModelCheckpoint(where, "last", every_n_train_steps=1, enable_version_counter=False)
     trainer = L.Trainer(
         accelerator="cpu",
@@ -114,6 +139,28 @@ def test_with_workers_too_that_have_fetched_ahead(folder, undisturbed, tmp_path)
     assert sorted(resumed.losses) == list(range(4, STEPS + 1))
     for step, loss in resumed.losses.items():
         assert loss == undisturbed.losses[step], f"step {step}"
+
+
+@pytest.mark.slow
+def test_streamed_shards_give_the_losses_of_the_files_killed_or_not(folder, undisturbed, tmp_path):
+    pack(folder, tmp_path / "shards", 2)
+    with served(tmp_path / "shards") as url:
+        with pytest.raises(KilledError):
+            run(url, tmp_path / "run", kill_at=4)
+        resumed = run(url, tmp_path / "run", resume=True)
+    assert sorted(resumed.losses) == list(range(4, STEPS + 1))
+    assert all(loss == undisturbed.losses[step] for step, loss in resumed.losses.items())
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # forked while threads run
+def test_a_killed_data_worker_is_told_of_and_the_run_goes_on(folder, undisturbed, tmp_path):
+    pack(folder, tmp_path / "shards", 2)
+    with pytest.raises(RuntimeError, match="DataLoader worker"):
+        run(tmp_path / "shards", tmp_path / "run", 3, workers=1, watching=KillWorker)
+    resumed = run(tmp_path / "shards", tmp_path / "run", resume=True, workers=1)
+    assert sorted(resumed.losses)[-1] == STEPS
+    assert all(loss == undisturbed.losses[step] for step, loss in resumed.losses.items())
 
 
 def test_exported_weights_are_the_average_and_the_card_counts(folder, undisturbed, tmp_path):
