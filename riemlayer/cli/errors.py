@@ -11,7 +11,7 @@ EXTRAS = {
         *("mesh2sdf", "manifold3d", "joblib", "tqdm"),
     ],
     "viz": ["pyvista", "vtk", "matplotlib", "PIL"],
-    "cli": ["lightning", "jsonargparse"],
+    "cli": ["lightning", "jsonargparse", "psutil"],
     "deploy": ["onnx", "onnxscript", "onnxruntime"],
 }
 """Packages that each extra of riemlayer brings, by the names they are imported by."""

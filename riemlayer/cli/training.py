@@ -188,6 +188,8 @@ def adapt(
     trainer |= {"precision": precision(), "accelerator": accelerator()}
     trainer.setdefault("enable_progress_bar", sys.stderr.isatty())
     trainer["default_root_dir"] = str(out)
+    if isinstance(trainer.get("logger"), dict):
+        trainer["logger"].setdefault("init_args", {})["save_dir"] = str(out)
     for callback in trainer.get("callbacks") or ():
         own = callback.setdefault("init_args", {})
         if "dirpath" in own:
@@ -230,9 +232,12 @@ def held_out(folders: list[str]) -> float:
 @contextlib.contextmanager
 def library_run() -> Iterator[None]:
     """What libraries print is no answer of ours, and being stopped is no success."""
+    diverged = import_module("lightning_modules").DivergedError
     try:
         with contextlib.redirect_stdout(sys.stderr):
             yield
+    except diverged as error:
+        raise UserError(str(error)) from error
     except SystemExit as end:
         if isinstance(end.__context__, KeyboardInterrupt):
             raise SystemExit(128 + signal.SIGINT) from end
