@@ -12,6 +12,7 @@ from riemlayer.losses import (
     cycle_loss,
     explog_losses,
     isometric_loss,
+    mean_over_shapes,
     pair_loss,
     reconstruction_loss,
     validity_loss,

@@ -116,7 +116,7 @@ def pretrain(
     config: Annotated[
         Path | None, typer.Option(help="YAML in the place of lightning_modules/configs/base.yaml.")
     ] = None,
-) -> Answer:
+) -> Answer | None:
     """Trains a field on prepared shapes; a run that stopped is continued by the same call.
 
     DIR/average holds the averaged weights, to be named by --weights or from_pretrained;
@@ -138,6 +138,8 @@ def pretrain(
     go_on = ["--ckpt_path", str(out / "last.ckpt")] if resumed else []
     with library_run():
         cli.main(["fit", "--config", str(out / "pretrain.yaml"), *flags, *go_on])
+    if import_module("lightning.pytorch.utilities").rank_zero_only.rank:
+        return None  # the first rank answers
     weights = out / "average"
     facts = {"out": str(out), "weights": str(weights), "checkpoint": str(out / "last.ckpt")}
     return Answer(facts | {"resumed": resumed}, f"{weights}: weights; {out}/last.ckpt: checkpoint")
