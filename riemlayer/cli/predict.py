@@ -149,7 +149,7 @@ def check_settings(out: Path, settings: dict[str, Any]) -> None:
         raise UserError(f"{path}: must be JSON; name another --out: {error}") from error
     if not isinstance(before, dict):
         raise UserError(f"{path}: must hold the settings of a former run; name another --out")
-    other = [k for k in sorted(before | settings) if before.get(k) != settings.get(k)]
+    other = [k for k in settings | before if before.get(k) != settings.get(k)]
     if other:
         k = other[0]
         raise UserError(

@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from importlib import util
 from pathlib import Path
 
@@ -18,7 +19,7 @@ PROGRAM = Path(__file__).with_name("ranks.py")
 spec = util.spec_from_file_location("ranks", PROGRAM)
 ranks = util.module_from_spec(spec)
 spec.loader.exec_module(ranks)
-PATIENCE = 120
+PATIENCE = 300
 """Seconds that two ranks may take to start on a busy machine, or the other one to end."""
 
 
@@ -78,8 +79,8 @@ def test_a_run_with_a_killed_rank_ends_and_is_continued(folder, killed):
     kill(again, killed, victim=0, step=first + 2)
     second = step_of(killed)
     assert 3 <= first < second < 400
-    for run in start(folder, killed, "--steps", str(second + 2), "--resume"):
-        assert run.wait(PATIENCE) == 0
+    with running(start(folder, killed, "--steps", str(second + 2), "--resume")) as runs:
+        assert [run.wait(PATIENCE) for run in runs] == [0, 0]
     assert step_of(killed) == second + 2
     state = torch.load(killed / "last.ckpt", weights_only=False)["state_dict"]
     assert all(bool(x.isfinite().all()) for x in state.values())
@@ -106,13 +107,24 @@ def start(folder, out, *options: str) -> list[subprocess.Popen]:
 def kill(runs: list[subprocess.Popen], out: Path, victim: int, step: int) -> None:
     """Kills a rank once both have done a step; the other must end with an error, and in time."""
     end = time.monotonic() + PATIENCE
-    while any(reached(out, run, rank) < step for rank, run in enumerate(runs)):
-        assert time.monotonic() < end, f"step {step} was not reached"
-        assert all(run.poll() is None for run in runs), "a rank has ended"
-        time.sleep(0.05)
-    runs[victim].kill()
-    assert runs[1 - victim].wait(PATIENCE) > 0
-    runs[victim].wait()
+    with running(runs):
+        while any(reached(out, run, rank) < step for rank, run in enumerate(runs)):
+            assert time.monotonic() < end, f"step {step} was not reached"
+            assert all(run.poll() is None for run in runs), "a rank has ended"
+            time.sleep(0.05)
+        runs[victim].kill()
+        assert runs[1 - victim].wait(PATIENCE) > 0
+
+
+@contextmanager
+def running(runs: list[subprocess.Popen]):
+    """Processes that have ended afterwards, also where a test fails."""
+    try:
+        yield runs
+    finally:
+        for run in runs:
+            run.kill()
+            run.wait()
 
 
 def reached(out: Path, run: subprocess.Popen, rank: int) -> int:
