@@ -70,8 +70,8 @@ def table(results: dict[str, Any]) -> str:
         f"{machine['load_before']} before (benchmarks/results/axes.json). Assumed: {cores:,} such "
         f"cores, one rank each, as efficient together as two were; {price} USD a core and hour.\n",
         f"For instance {first['what']}, a million shapes: 10^6 / ({rate:.3g} shapes a second) / "
-        f"3600 / (efficiency {efficiency:.2f}) = {number(bill['core_hours'])} core hours; / {cores:,} "
-        f"= {number(bill['cluster_hours'])} hours; x {price} = {number(bill['cost'])} USD.\n",
+        f"3600 / (efficiency {efficiency:.2f}) = {number(bill['core_hours'])} core "
+        f"hours; / {cores:,} = {number(bill['cluster_hours'])} hours; x {price} = {number(bill['cost'])} USD.\n",
         "| what | shapes | core hours | hours on the cluster | USD | TB written |",
         "|---|--:|--:|--:|--:|--:|",
     ]
@@ -83,13 +83,14 @@ def table(results: dict[str, Any]) -> str:
             lines.append(f"| {' | '.join([work['what'], power, *cells, size])} |")
     encoded = results["encoding"]
     lines.append(
-        f"\nEncoding alone, by the line of scaling.json ({results['encoding_threads']} threads, load "
-        f"{results['encoding_load']} before):\n"
+        f"\nEncoding alone, by the line of scaling.json ({results['encoding_threads']} threads, "
+        f"load {results['encoding_load']} before):\n"
     )
     lines += ["| points | fixed | points' part | leaves' part | seconds |", "|--:|--:|--:|--:|--:|"]
     for x in encoded:
         parts = [f"{x[k]:.3f}" for k in ("fixed", "points", "leaves", "seconds")]
-        lines.append(f"| {' | '.join([f'{x["cloud_points"]:,}', *parts])} |")
+        cells = [f"{x['cloud_points']:,}", *parts]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -26,7 +26,8 @@ def test_hours_and_costs_can_be_done_in_the_head():
     assert million["cluster_hours"] == pytest.approx(10**4 / 5400)
     assert million["cost"] == pytest.approx(10**6 / 10800)
     assert million["terabytes"] == pytest.approx(8e6 / 2**20)
-    for thousand, billion in zip(found["bills"][0].values(), found["bills"][2].values()):
+    thousands, billions = (found["bills"][i].values() for i in (0, 2))
+    for thousand, billion in zip(thousands, billions, strict=True):
         assert billion == pytest.approx(10**6 * thousand)
 
 

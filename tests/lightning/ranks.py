@@ -66,7 +66,6 @@ def fit(
         accelerator="cpu",
         max_steps=steps,
         limit_val_batches=0,
-        logger=False,
         enable_progress_bar=False,
         enable_model_summary=False,
         use_distributed_sampler=False,
@@ -77,7 +76,7 @@ def fit(
             Progress(out, pause),
             SoundCheckpoint(out, "last", every_n_train_steps=1, enable_version_counter=False),
         ],
-        **options,
+        **{"logger": False} | options,
     )
     data = ExpLogDataModule(
         [str(folder)],
