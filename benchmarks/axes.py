@@ -38,11 +38,11 @@ class Sizes:
     per_source: int = 384
     queries: tuple[int, ...] = (100, 1_000, 10_000, 100_000)
     cloud: int = 10_000
-    shapes: int = 8
-    batches: tuple[int, ...] = (1, 4, 8)
+    shapes: int = 6
+    batches: tuple[int, ...] = (1, 4)
     ranks: tuple[int, ...] = (1, 2)
     train_queries: int = 768
-    steps: int = 4
+    steps: int = 3
 
     @classmethod
     def fast(cls) -> Sizes:

@@ -71,7 +71,8 @@ def table(results: dict[str, Any]) -> str:
         f"cores, one rank each, as efficient together as two were; {price} USD a core and hour.\n",
         f"For instance {first['what']}, a million shapes: 10^6 / ({rate:.3g} shapes a second) / "
         f"3600 / (efficiency {efficiency:.2f}) = {number(bill['core_hours'])} core "
-        f"hours; / {cores:,} = {number(bill['cluster_hours'])} hours; x {price} = {number(bill['cost'])} USD.\n",
+        f"hours; / {cores:,} = {number(bill['cluster_hours'])} hours; x {price} = "
+        f"{number(bill['cost'])} USD.\n",
         "| what | shapes | core hours | hours on the cluster | USD | TB written |",
         "|---|--:|--:|--:|--:|--:|",
     ]
