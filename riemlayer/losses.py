@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -138,6 +140,10 @@ class Truth:
 def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -> dict[str, Tensor]:
     """Eq. (1) and its terms, by name; lengths in the normalised cube.
 
+    Each term is the mean over the shapes of its means over one shape's queries: every shape counts
+    alike (ours). So the gradient of a packed batch is the mean of those of its shapes, whether they
+    are packed, accumulated, or on several ranks.
+
     Eq. (3) needs Jacobians, the costly part: it is averaged over every eighth query, and Eq. (4)
     over every fourth, where the paper takes all.
     """
@@ -151,20 +157,22 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
     back, log_logit = surface.decode_log(p, q, shape)
     off_exp, off_log = (end - q) / scale, (back - v) / scale
     zero = torch.zeros_like(off_exp)
+    mean = partial(mean_over_shapes, truth.shape, len(surface.scale))
     terms = {
-        "exp": reconstruction_loss(off_exp, zero, weight),
-        "log": reconstruction_loss(off_log, zero, weight),
+        "exp": mean(reconstruction_loss, off_exp, zero, weight),
+        "log": mean(reconstruction_loss, off_log, zero, weight),
     }
     total = weights.rec * (terms["exp"] + terms["log"])
     if weights.pairs:
-        terms["pairs"] = pair_loss(off_exp, v / scale, weight) + pair_loss(
-            off_log, q / scale, weight
+        terms["pairs"] = mean(pair_loss, off_exp, v / scale, weight) + mean(
+            pair_loss, off_log, q / scale, weight
         )
         total = total + weights.pairs * terms["pairs"]
     if weights.cyc:
         some = slice(None, None, 4)
         again, _ = surface.decode_log(p, end[:, some], shape)
-        terms["cycle"] = cycle_loss(again / scale, v[:, some] / scale, weight[:, some])
+        cycle = again / scale, v[:, some] / scale, weight[:, some]
+        terms["cycle"] = mean(cycle_loss, *cycle)
         total = total + weights.cyc * terms["cycle"]
     if weights.geo:
         some = slice(None, None, 8)
@@ -172,14 +180,40 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
         _, J_log = surface.jacobian_log(p, q[:, some], shape=shape)
         chosen = good[:, some].bool()
         for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
-            terms[name] = loss(J_exp[chosen]) + loss(J_log[chosen])
+            of_chosen = partial(_loss_of_chosen, loss)
+            terms[name] = mean(of_chosen, J_exp, chosen) + mean(of_chosen, J_log, chosen)
             total = total + weights.geo * terms[name]
     if weights.validity:
-        terms["validity"] = validity_loss(exp_logit, truth.valid, truth.known) + validity_loss(
-            log_logit, truth.valid, truth.known
+        labels = truth.valid, truth.known
+        terms["validity"] = mean(validity_loss, exp_logit, *labels) + mean(
+            validity_loss, log_logit, *labels
         )
         total = total + weights.validity * terms["validity"]
     return {"total": total, **terms}
+
+
+def mean_over_shapes(
+    shape: Tensor, shapes: int, loss: Callable[..., Tensor], *of: Tensor
+) -> Tensor:
+    """Mean over the shapes of `loss` of each one's own rows.
+
+    Args:
+        shape: (S,) int64, shape of each row.
+        shapes: number of shapes; one without rows gives `loss` empty tensors.
+        loss: from tensors of some rows to a scalar.
+        of: (S, ...) what `loss` takes.
+
+    >>> x = torch.tensor([[1.0], [3.0], [8.0]])
+    >>> mean_over_shapes(torch.tensor([0, 0, 1]), 2, torch.mean, x)
+    tensor(5.)
+    """
+    rows = [(shape == i).nonzero().squeeze(-1) for i in range(shapes)]
+    return torch.stack([loss(*(x[row] for x in of)) for row in rows]).mean()
+
+
+def _loss_of_chosen(loss: Callable[[Tensor], Tensor], J: Tensor, chosen: Tensor) -> Tensor:
+    """0 where nothing is chosen: a mean of nothing is NaN."""
+    return loss(J[chosen]) if chosen.any() else J.new_zeros(())
 
 
 def self_supervised_losses(

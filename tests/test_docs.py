@@ -137,6 +137,8 @@ def test_options_of_commands_exist(block, words):
         for flag in flags:
             known = f'"{flag}"' in source or re.match(r"--(trainer|model|data|config)", flag)
             assert known, f"{block.where}: {flag} is no option of {' '.join(rest)}"
+    elif program in ("bash", "sbatch"):
+        assert [x for x in rest if (ROOT / x).is_file()], block.where
     elif program == "pip":
         extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
         for named in re.findall(r"\.\[([\w,]+)\]", " ".join(rest)):

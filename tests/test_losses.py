@@ -1,5 +1,7 @@
 """Loss values on Jacobians and maps that one can do in the head."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from references import encoded
@@ -12,6 +14,7 @@ from riemlayer.losses import (
     cycle_loss,
     explog_losses,
     isometric_loss,
+    mean_over_shapes,
     pair_loss,
     reconstruction_loss,
     validity_loss,
@@ -197,3 +200,43 @@ def test_gradients_are_finite_when_queries_sit_at_the_source():
     explog_losses(field.encode(points), truth, weights)["total"].backward()
     for name, parameter in field.named_parameters():
         assert parameter.grad is None or parameter.grad.isfinite().all(), name
+
+
+def part_of(points: torch.Tensor, batch: torch.Tensor, truth: Truth, i: int):
+    """One cloud of a packed batch, and its rows of the truth."""
+    row = truth.shape == i
+    own = Truth(*(x[row] for x in (truth.p, truth.v, truth.q, truth.valid, truth.known)), None)
+    return points[batch == i], replace(own, shape=torch.zeros(int(row.sum()), dtype=torch.long))
+
+
+def test_every_shape_of_a_batch_counts_alike():
+    """Loss and gradient of a packed batch are the means of those of its shapes.
+
+    However many sources, valid queries and pairs each one has: 3, 1 and none that counts.
+    """
+    field = encoded().field
+    points, batch = double(600, 3).clamp(-1, 1), torch.arange(3).repeat_interleave(200)
+    p, v = 0.5 * double(6, 3), 0.2 * double(6, 16, 3)
+    valid, known = torch.rand(2, 6, 16) < 0.7
+    valid[4:] = False
+    truth = Truth(p, v, p[:, None] + v, valid, known, torch.tensor([0, 0, 0, 1, 2, 2]))
+    weights = LossWeights(1.0, 0.3, 0.7, 0.2, 0.1, relative=True)
+
+    def total(points, batch, truth):
+        losses = explog_losses(field.encode_in_cube(points, batch), truth, weights)
+        gradient = torch.autograd.grad(losses["total"], list(field.parameters()))
+        return losses["total"].detach(), torch.cat([x.flatten() for x in gradient])
+
+    packed = total(points, batch, truth)
+    parts = [part_of(points, batch, truth, i) for i in range(3)]
+    alone = [total(x, torch.zeros(len(x), dtype=torch.long), own) for x, own in parts]
+    for i in range(2):
+        expected = torch.stack([x[i] for x in alone]).mean(0)
+        torch.testing.assert_close(packed[i], expected, rtol=1e-8, atol=1e-10)
+
+
+def test_the_mean_over_shapes_is_that_of_a_loop():
+    x, shape = double(7, 2), torch.tensor([0, 0, 1, 1, 1, 2, 2])
+    found = mean_over_shapes(shape, 3, lambda x: x.square().mean(), x)
+    rows = [x[:2], x[2:5], x[5:]]
+    torch.testing.assert_close(found, sum(y.square().mean() for y in rows) / 3)

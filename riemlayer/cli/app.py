@@ -8,7 +8,18 @@ from typing import Annotated
 
 import typer
 
-from riemlayer.cli import about, decal, export, finetune, maps, prepare, regions, training, viewer
+from riemlayer.cli import (
+    about,
+    decal,
+    export,
+    finetune,
+    maps,
+    predict,
+    prepare,
+    regions,
+    training,
+    viewer,
+)
 from riemlayer.cli.command import Commands, unwrapped
 
 app = typer.Typer(
@@ -17,7 +28,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for group in (maps, regions, decal, viewer, prepare, training, finetune, export, about):
+for group in (maps, regions, decal, viewer, prepare, training, finetune, predict, export, about):
     group.register(app)
 
 

@@ -11,7 +11,7 @@ EXTRAS = {
         *("mesh2sdf", "manifold3d", "joblib", "tqdm"),
     ],
     "viz": ["pyvista", "vtk", "matplotlib", "PIL"],
-    "cli": ["lightning", "jsonargparse"],
+    "cli": ["lightning", "jsonargparse", "psutil"],
     "scale": ["ray", "distributed", "webdataset", "cloudpickle"],
     "deploy": ["onnx", "onnxscript", "onnxruntime"],
 }

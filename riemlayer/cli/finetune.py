@@ -101,7 +101,13 @@ def finetune(
             logger=False,
             enable_model_summary=False,
             enable_progress_bar=sys.stderr.isatty(),
-            callbacks=[average, callbacks.Timer(), callbacks.ModelCheckpoint(out, "last", **saved)],
+            plugins=[modules.AtomicCheckpointIO()],
+            callbacks=[
+                average,
+                modules.DivergenceGuard(),
+                callbacks.Timer(),
+                modules.SoundCheckpoint(out, "last", **saved),
+            ],
         )
         trainer.fit(model, datamodule=data, ckpt_path=str(last) if resumed else None)
     model.field.load_state_dict(average.average)

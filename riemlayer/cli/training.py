@@ -54,7 +54,7 @@ def pretrain(
     config: Annotated[
         Path | None, typer.Option(help="YAML in the place of lightning_modules/configs/base.yaml.")
     ] = None,
-) -> Answer:
+) -> Answer | None:
     """Trains a field on prepared shapes; a run that stopped is continued by the same call.
 
     DIR/average holds the averaged weights, to be named by --weights or from_pretrained;
@@ -76,6 +76,8 @@ def pretrain(
     go_on = ["--ckpt_path", str(out / "last.ckpt")] if resumed else []
     with library_run():
         cli.main(["fit", "--config", str(out / "pretrain.yaml"), *flags, *go_on])
+    if import_module("lightning.pytorch.utilities").rank_zero_only.rank:
+        return None  # the first rank answers
     weights = out / "average"
     facts = {"out": str(out), "weights": str(weights), "checkpoint": str(out / "last.ckpt")}
     return Answer(facts | {"resumed": resumed}, f"{weights}: weights; {out}/last.ckpt: checkpoint")
@@ -126,6 +128,8 @@ def adapt(
     trainer |= {"precision": precision(), "accelerator": accelerator()}
     trainer.setdefault("enable_progress_bar", sys.stderr.isatty())
     trainer["default_root_dir"] = str(out)
+    if isinstance(trainer.get("logger"), dict):
+        trainer["logger"].setdefault("init_args", {})["save_dir"] = str(out)
     for callback in trainer.get("callbacks") or ():
         own = callback.setdefault("init_args", {})
         if "dirpath" in own:
@@ -173,9 +177,12 @@ def held_out(roots: list[str]) -> float:
 @contextlib.contextmanager
 def library_run() -> Iterator[None]:
     """What libraries print is no answer of ours, and being stopped is no success."""
+    diverged = import_module("lightning_modules").DivergedError
     try:
         with contextlib.redirect_stdout(sys.stderr):
             yield
+    except diverged as error:
+        raise UserError(str(error)) from error
     except SystemExit as end:
         if isinstance(end.__context__, KeyboardInterrupt):
             raise SystemExit(128 + signal.SIGINT) from end

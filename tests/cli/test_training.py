@@ -9,6 +9,7 @@ import torch
 from references import fibonacci_sphere
 
 from riemlayer import ExpLogField
+from riemlayer.cli.errors import UserError
 from riemlayer.cli.training import library_run
 from riemlayer.data.closed_form import Sphere
 from riemlayer.data.sample_file import write_sample
@@ -183,3 +184,9 @@ def test_tables_are_asked_of_the_library(well, monkeypatch, tmp_path):
 def test_what_has_no_tables(run, tmp_path, refused):
     refused(run("tables", tmp_path / "none", "-o", tmp_path / "out"), "none")
     refused(run("tables", "--methods", "magic", tmp_path, "-o", tmp_path / "o"), "riemlayer tables")
+
+
+def test_a_run_that_diverged_is_told_in_one_line():
+    modules = pytest.importorskip("lightning_modules")
+    with pytest.raises(UserError, match=r"go on from last\.ckpt"), library_run():
+        raise modules.DivergedError("the loss is nan; go on from last.ckpt")
