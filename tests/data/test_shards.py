@@ -199,11 +199,6 @@ def shape(i):
     return make
 
 
-def whole_run(folder):
-    run({f"s{i:02d}": shape(i) for i in range(48)}, folder, workers=2)
-    pack(folder, folder / "shards", 4)
-
-
 def killed(work, after):
     """Does `work` in a process that is killed after some seconds; whether it was still at it."""
     child = os.fork()
@@ -217,19 +212,29 @@ def killed(work, after):
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
+def timed(work):
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # forked while threads run
 def test_twenty_kills_at_any_moment_change_nothing(tmp_path):
     get_reusable_executor().shutdown(wait=True, kill_workers=True)  # none is shared by forks
     whole, often = tmp_path / "whole", tmp_path / "often"
-    rng, struck = random.Random(0), 0
-    for _ in range(8):
-        struck += killed(lambda: whole_run(often), rng.uniform(0.3, 1.2))
-    killed(lambda: run({f"s{i:02d}": shape(i) for i in range(48)}, often, 2), 8)
-    for _ in range(12):
-        struck += killed(lambda: pack(often, often / "shards", 4), rng.uniform(0, 0.08))
-    whole_run(whole)
-    whole_run(often)
+    jobs, rng, struck = {f"s{i:02d}": shape(i) for i in range(48)}, random.Random(0), 0
+    making = timed(lambda: run(jobs, whole, workers=2))
+    packing = timed(lambda: pack(whole, whole / "shards", 4))
+    get_reusable_executor().shutdown(wait=True, kill_workers=True)
+    for i in range(6, 54, 6):  # there is always something left to do
+        some = dict(list(jobs.items())[:i])
+        struck += killed(lambda some=some: run(some, often, 2), making * rng.uniform(0.1, 0.7))
+    run(jobs, often, workers=2)
+    for i in range(12):  # other sizes, other shards: each call writes them all
+        after = packing * rng.uniform(0, 0.9)
+        struck += killed(lambda i=i: pack(often, often / "shards", 3 + i % 3), after)
+    pack(often, often / "shards", 4)
     assert struck >= 15
     assert len(list((whole / "shards").glob("*.tar"))) == 11
     assert contents(often / "shards") == contents(whole / "shards")
@@ -265,9 +270,10 @@ def test_the_real_pipeline_killed_and_resumed_gives_the_same_shards(tmp_path):
     mesh = tmp_path / "box.ply"
     trimesh.creation.box((1, 2, 3)).export(mesh)
     get_reusable_executor().shutdown(wait=True, kill_workers=True)  # none is shared by the fork
-    assert killed(lambda: prepare_meshes([mesh], tmp_path / "killed", 1), 3)
-    for name in ("killed", "whole"):
-        assert prepare_meshes([mesh], tmp_path / name, 1).written == 1
+    seconds = timed(lambda: prepare_meshes([mesh], tmp_path / "whole", 1))
+    get_reusable_executor().shutdown(wait=True, kill_workers=True)
+    assert killed(lambda: prepare_meshes([mesh], tmp_path / "killed", 1), seconds / 2)
+    assert prepare_meshes([mesh], tmp_path / "killed", 1).written == 1
     for name in ("killed", "whole"):
         pack(tmp_path / name, tmp_path / name / "shards", 1)
     assert contents(tmp_path / "killed" / "shards") == contents(tmp_path / "whole" / "shards")
