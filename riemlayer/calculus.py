@@ -23,7 +23,7 @@ STRIDE = 0.5
 """Longest step of `shoot`, in trained radii: short steps are the accurate ones."""
 RUNG = 0.25
 """Length of the vectors that a pole ladder carries, in trained radii."""
-MISS = 0.5
+MISS = 0.4
 """Where Exp_p(Log_p(q)) ends farther from q than this, in chords |q - p|, Log is not believed."""
 
 
@@ -223,7 +223,7 @@ class Calculus(AbstractSurface):
         return (logit.sigmoid() > threshold) & back & self.in_support(p, shape=shape)
 
     def comes_back(self, p: Tensor, q: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
-        """(...) bool: Exp_p(v) ends nearer to q than half the chord (ours); not across a gap."""
+        """(...) bool: Exp_p(v) ends nearer to q than `MISS` chords (ours); not across a gap."""
         miss = (self.decode_exp(p, v, shape)[0] - q).norm(dim=-1)
         return miss <= MISS * (q - p).norm(dim=-1) + 1e-3 * self.radius_at(p, shape)
 
