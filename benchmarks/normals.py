@@ -36,6 +36,7 @@ class WithNormals(Neural):
     def prepare_mesh(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         """Encode the vertices with their normals."""
         normals = vertex_normals(vertices.astype(float), faces)
+        normals[np.linalg.norm(normals, axis=1) < 0.5] = (0, 0, 1)  # faces folded flat give none
         points, normals = (torch.from_numpy(x.astype(np.float32)) for x in (vertices, normals))
         with torch.inference_mode():
             self._surface = self._field.eval().encode(points, normals=normals)
