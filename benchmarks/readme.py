@@ -45,8 +45,8 @@ def card() -> str:
     return "\n".join(
         [
             f"- **Parameters** {training['parameters']:,}, stored as float16.",
-            f"- **Training** {training['steps']:,} steps in {training['hours']} hours, shapes a step: "
-            f"{training['shapes_a_step']}; {facts['time']}.",
+            f"- **Training** {training['steps']:,} steps in {training['hours']} hours, "
+            f"shapes a step: {training['shapes_a_step']}; {facts['time']}.",
             f"- **Shapes** {sum(training['shapes'].values())}: {shapes}.",
             *(f"- **{name.capitalize()}** {text}" for name, text in facts["data"].items()),
             f"- **Limits** {facts['limits']}",

@@ -135,7 +135,9 @@ def test_options_of_commands_exist(block, words):
         source = source_of(rest)
         flags = [word.split("=")[0] for word in rest if word.startswith("--")]
         for flag in flags:
-            known = f'"{flag}"' in source or re.match(r"--(trainer|model|data|config|ckpt_path)", flag)
+            known = f'"{flag}"' in source or re.match(
+                r"--(trainer|model|data|config|ckpt_path)", flag
+            )
             assert known, f"{block.where}: {flag} is no option of {' '.join(rest)}"
     elif program in ("bash", "sbatch"):
         assert [x for x in rest if (ROOT / x).is_file()], block.where
