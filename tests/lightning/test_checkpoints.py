@@ -72,9 +72,9 @@ def test_a_writer_killed_at_any_time_leaves_a_whole_checkpoint(path):
 
 
 def write_to_a_full_disk(path) -> None:
-    """Files may not grow beyond 100,000 bytes here; exits with 0 where the error says enough."""
+    """Files may not grow beyond 50,000 bytes here; exits with 0 where the error says enough."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
     with pytest.raises(OSError, match=r"checkpoint not written; the former one is kept.*last.ckpt"):
         AtomicCheckpointIO().save_checkpoint(state(2), path)
 
