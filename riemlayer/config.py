@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 BACKBONES = ("octree", "pointnet")
@@ -102,6 +102,8 @@ class FieldConfig:
     head: HeadConfig = field(default_factory=HeadConfig)
     radius: float = 0.5
     """Trained tangent radius, in the normalised cube [-1, 1]^3."""
+    plane_width: int = 32
+    """Width of the networks that correct the planes which walks and fans go over; 0: PCA's."""
 
     @classmethod
     def base(cls) -> FieldConfig:
@@ -141,6 +143,7 @@ class FieldConfig:
             HeadConfig(
                 resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8), fan_rays=12
             ),
+            plane_width=8,
         )
 
     @classmethod
@@ -168,12 +171,10 @@ class FieldConfig:
             head.setdefault("fan_rays", 0)  # before there were fans
             if isinstance(walk := head.get("walk_steps"), int):  # before there were several walks
                 head["walk_steps"] = (walk,) if walk else ()
-            return replace(
-                cls(),
-                backbone=BackboneConfig(**_tuples(values["backbone"])),
-                head=HeadConfig(**head),
-                **{k: v for k, v in values.items() if k not in ("backbone", "head")},
-            )
+            rest = {k: v for k, v in values.items() if k not in ("backbone", "head")}
+            rest.setdefault("plane_width", 0)  # before planes were corrected
+            backbone = BackboneConfig(**_tuples(values["backbone"]))
+            return cls(backbone=backbone, head=HeadConfig(**head), **rest)
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"not the configuration of an ExpLogField: {error}") from error
 

@@ -1,10 +1,10 @@
 """The decoders as programs that run without riemlayer: `torch.export` and ONNX (ours).
 
 A deployed query has two halves. `prepare` is eager: it looks up what a decoder is told of an
-encoded surface, namely z(p), the prior (for Exp the gated walks over the cloud's planes, for Log
-the chord laid flat), the planes at p and narrow embeddings. `Decoder` is the other half:
-hypernetwork, planes, MLP (Sec. 3.2), the anchoring, and validity. It alone is exported. Encoding,
-walks and look-ups stay eager: their sizes and branches depend on the data.
+encoded surface, namely z(p), the prior (for Exp the gated walks over the planes, for Log the gated
+fans), the planes at p and narrow embeddings. `Decoder` is the other half: hypernetwork, planes, MLP
+(Sec. 3.2), the anchoring, and validity. It alone is exported. Encoding, walks and look-ups stay
+eager: their sizes and branches depend on the data.
 
     program = deploy.export(field, "exp")                   # any numbers of sources and queries
     torch.export.save(program, "exp.pt2")                   # runs where torch is
@@ -60,10 +60,10 @@ class Decoder(nn.Module):
     Raises:
         ValueError: another map, or "encode", which stays eager.
 
-    >>> decoder = Decoder(ExpLogField.from_preset("tiny"), "log")
-    >>> inputs = {"z": torch.rand(2, 48), "x": torch.rand(2, 6, 3), "prior": torch.rand(2, 6, 3)}
-    >>> told, site = torch.rand(2, 6, 19), torch.rand(2, 24)
-    >>> [y.shape for y in decoder(**inputs, told=told, site=site)]
+    >>> field = ExpLogField.from_preset("tiny").eval()
+    >>> points = torch.nn.functional.normalize(torch.randn(500, 3), dim=-1)
+    >>> query = prepare(field.encode(points), "log", points[:2, None], points[None, :5])
+    >>> [y.shape for y in Decoder(field, "log")(**query.inputs)]  # five queries and the source
     [torch.Size([2, 6, 3]), torch.Size([2, 6])]
     """
 

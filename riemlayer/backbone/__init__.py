@@ -1,6 +1,7 @@
 """Octree U-Net, and the PointNet of the ablation."""
 
 from riemlayer.backbone.conv import OctreeConv, OctreeDown, OctreeUp
+from riemlayer.backbone.correction import PlaneCorrection
 from riemlayer.backbone.pointnet import PointNet
 from riemlayer.backbone.unet import OctreeUNet
 from riemlayer.config import BackboneConfig
@@ -11,4 +12,12 @@ def make_backbone(config: BackboneConfig) -> OctreeUNet | PointNet:
     return {"octree": OctreeUNet, "pointnet": PointNet}[config.kind](config)
 
 
-__all__ = ["OctreeConv", "OctreeDown", "OctreeUNet", "OctreeUp", "PointNet", "make_backbone"]
+__all__ = [
+    "OctreeConv",
+    "OctreeDown",
+    "OctreeUNet",
+    "OctreeUp",
+    "PlaneCorrection",
+    "PointNet",
+    "make_backbone",
+]

@@ -14,8 +14,8 @@ ANCHOR = 0.3
 """Length, in cells, within which a walk leaves p along v itself, to first order."""
 STEEP = 0.1
 """Share of a chord's squared height that counts as length when its tangent part is stretched."""
-NEGLIGIBLE = 1e-6
-"""Vectors much shorter than this have no direction."""
+NEGLIGIBLE = 0.05
+"""Length, in cells, below which a vector has less and less of a direction."""
 
 
 class Walked(NamedTuple):
@@ -58,7 +58,8 @@ def walk(
     if normal is None:
         normal = planes.normal(p, batch)
     square = v.square().sum(-1, keepdim=True)
-    tilt = (normal * v).sum(-1, keepdim=True) / (square + NEGLIGIBLE**2)
+    negligible = (NEGLIGIBLE * planes.fine.level.cell_size) ** 2
+    tilt = (normal * v).sum(-1, keepdim=True) / square.clamp_min(negligible)
     normal = normalise(normal - tilt * v)
     x, carried, normal = (in_columns(y) for y in (p, v, normal))
     for _ in range(steps):
