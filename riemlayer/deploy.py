@@ -52,10 +52,11 @@ class Decoder(nn.Module):
         field: whose weights.
         which: "exp" or "log".
 
-    Shapes: z (S, C), x (S, 1 + K, 3), prior (S, 1 + K, 3), told (S, 1 + K, ...), site (S, ...) ->
-    vector (S, 1 + K, 3), that is q - p for Exp and v for Log, and validity (S, 1 + K), a
-    probability. The first row of every source is the source itself, x = 0, whose vector is 0. Where
-    the head is not anchored (the `paper` preset) the inputs are z (S, C) and x (S, K, 3) alone.
+    Shapes: z (S, C), x (S, 1 + K, 3), prior (S, 1 + K, 3), told (S, 1 + K, ...), site (S, ...),
+    trust (S, 1 + K, 1) -> vector (S, 1 + K, 3), that is q - p for Exp and v for Log, and validity
+    (S, 1 + K), a probability. The first row of every source is the source itself, x = 0, whose
+    vector is 0. Where the head is not anchored (the `paper` preset) the inputs are z (S, C) and x
+    (S, K, 3) alone.
 
     Raises:
         ValueError: another map, or "encode", which stays eager.
@@ -78,8 +79,9 @@ class Decoder(nn.Module):
         prior: Tensor | None = None,
         told: Tensor | None = None,
         site: Tensor | None = None,
+        trust: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        vector, logit = self.head.answer(z, x, prior, () if told is None else (told,), site)
+        vector, logit = self.head.answer(z, x, prior, () if told is None else (told,), site, trust)
         return vector, logit.sigmoid()
 
 
@@ -226,8 +228,8 @@ def _named(found: Prepared) -> dict[str, Tensor]:
     inputs = {"z": found.z, "x": found.x}
     if found.prior is not None:
         inputs |= {"prior": found.prior, "told": torch.cat(found.told, -1)}
-    if found.site is not None:
-        inputs["site"] = found.site
+    if found.site is not None and found.trust is not None:
+        inputs |= {"site": found.site, "trust": found.trust}
     return {name: x.contiguous() for name, x in inputs.items()}
 
 

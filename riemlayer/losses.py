@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from riemlayer.heads import MapOutput
+from riemlayer.heads.branch import MapHead
 from riemlayer.numerics import safe_norm
 from riemlayer.surface import EncodedSurface
 
@@ -28,11 +31,13 @@ class LossWeights:
     """Sobolev pairs (ours)."""
     validity: float = 0.1
     """Cross entropy of the validity (ours); touches nothing but the validity's own layer."""
+    prior: float = 0.0
+    """Reconstruction of Exp and Log by their priors alone (ours): it teaches planes and gates."""
     relative: bool = False
     """Weight reconstruction by 1 / (|v| + 0.1) (ours), so that small radii count."""
 
     def __post_init__(self) -> None:
-        for name in ("rec", "geo", "cyc", "pairs", "validity"):
+        for name in ("rec", "geo", "cyc", "pairs", "validity", "prior"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
@@ -153,25 +158,30 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
     good = (truth.valid & truth.known).to(v.dtype)
     length = v.norm(dim=-1) / scale.squeeze(-1)
     weight = good / (length + 0.1) if weights.relative else good
-    end, exp_logit = surface.decode_exp(p, v, shape)
-    back, log_logit = surface.decode_log(p, q, shape)
-    off_exp, off_log = (end - q) / scale, (back - v) / scale
-    zero = torch.zeros_like(off_exp)
+    moved, v_cube = (q - p) / scale, v / scale
+    (exp, exp_logit), exp_prior = _answer(surface, "exp", truth)
+    (log, log_logit), log_prior = _answer(surface, "log", truth)
+    off_exp, off_log = exp - moved, log - v_cube
     mean = partial(mean_over_shapes, truth.shape, len(surface.scale))
     terms = {
-        "exp": mean(reconstruction_loss, off_exp, zero, weight),
-        "log": mean(reconstruction_loss, off_log, zero, weight),
+        "exp": mean(reconstruction_loss, exp, moved, weight),
+        "log": mean(reconstruction_loss, log, v_cube, weight),
     }
     total = weights.rec * (terms["exp"] + terms["log"])
+    if weights.prior and exp_prior is not None and log_prior is not None:
+        terms["prior"] = mean(reconstruction_loss, exp_prior, moved, weight) + mean(
+            reconstruction_loss, log_prior, v_cube, weight
+        )
+        total = total + weights.prior * terms["prior"]
     if weights.pairs:
-        terms["pairs"] = mean(pair_loss, off_exp, v / scale, weight) + mean(
+        terms["pairs"] = mean(pair_loss, off_exp, v_cube, weight) + mean(
             pair_loss, off_log, q / scale, weight
         )
         total = total + weights.pairs * terms["pairs"]
     if weights.cyc:
         some = slice(None, None, 4)
-        again, _ = surface.decode_log(p, end[:, some], shape)
-        cycle = again / scale, v[:, some] / scale, weight[:, some]
+        again, _ = surface.decode_log(p, p + scale * exp[:, some], shape)
+        cycle = again / scale, v_cube[:, some], weight[:, some]
         terms["cycle"] = mean(cycle_loss, *cycle)
         total = total + weights.cyc * terms["cycle"]
     if weights.geo:
@@ -190,6 +200,22 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
         )
         total = total + weights.validity * terms["validity"]
     return {"total": total, **terms}
+
+
+def _answer(
+    surface: EncodedSurface, which: Literal["exp", "log"], truth: Truth
+) -> tuple[MapOutput, Tensor | None]:
+    """What a head answers in the cube, q - p or v (S, K, 3), and its prior, if it has one."""
+    head: MapHead = getattr(surface.field, f"{which}_head")
+    scale, centre = surface.scale[truth.shape][:, None], surface.centre[truth.shape]
+    x = truth.v if which == "exp" else truth.q - centre[:, None]
+    with surface.field.half_precision():
+        found = head.prepare(
+            surface.embedding, (truth.p - centre) / scale, x / scale[..., None], truth.shape
+        )
+        vector, logit = head.answer(*found)
+    prior = None if found.prior is None else found.prior[:, found.first :]
+    return MapOutput(vector[:, found.first :], logit[:, found.first :]), prior
 
 
 def mean_over_shapes(

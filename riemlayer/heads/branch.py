@@ -65,6 +65,8 @@ class Prepared(NamedTuple):
     """(S, 1 + K, ...) what else the decoder is told."""
     site: Tensor | None = None
     """(S, ...) what it is told of the sources."""
+    trust: Tensor | None = None
+    """(S, 1 + K, 1) what its correction of the prior counts, from 0 to 1."""
 
     @property
     def first(self) -> int:
@@ -106,11 +108,12 @@ class MapHead(nn.Module):
         prior: Tensor | None = None,
         told: tuple[Tensor, ...] = (),
         site: Tensor | None = None,
+        trust: Tensor | None = None,
     ) -> MapOutput:
-        """prior + |x| (f(x) - f(0)), or f(x) where not anchored, and validity, of all rows."""
+        """prior + trust |x| (f(x) - f(0)), or f(x) where not anchored, and validity."""
         vector, logit = self.decode(z, x, told, z[:, :0] if site is None else site)
-        if prior is not None:
-            vector = prior + safe_norm(x) * (vector - vector[:, :1])
+        if prior is not None and trust is not None:
+            vector = prior + trust * safe_norm(x) * (vector - vector[:, :1])
         return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
@@ -136,29 +139,34 @@ class MapHead(nn.Module):
 
 
 class Gate(nn.Module):
-    """Moves the first prior towards each of the others, by a share read from what is told (ours).
+    """Moves the first prior towards each of the others, and says what a correction counts (ours).
 
-    All priors agree with the map to first order at the source, so whatever it says is anchored.
+    Its shares, from 0 to 1, are read from what is told. All priors agree with the map to first
+    order at the source and corrections vanish there, so whatever it says is anchored.
 
-    Shapes: priors (S, K, 3) each, told (S, K, ...), site (S, ...) -> (S, K, 3).
+    Shapes: priors (S, K, 3) each, told (S, K, ...), site (S, ...) -> prior (S, K, 3), trust
+    (S, K, 1).
     """
 
     def __init__(self, told: int, others: int, hidden: int = 64) -> None:
         super().__init__()
         self.first = nn.Linear(told, hidden)
         self.body = nn.Sequential(
-            nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, others)
+            nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, others + 1)
         )
 
-    def forward(self, priors: list[Tensor], told: list[Tensor], site: Tensor) -> Tensor:
+    def forward(
+        self, priors: list[Tensor], told: list[Tensor], site: Tensor
+    ) -> tuple[Tensor, Tensor]:
         prior, *others = priors
         rows = torch.cat(told, -1).flatten(0, 1)
         source = torch.arange(len(site), device=site.device)[:, None].expand(prior.shape[:2])
         hidden = linear_with_site(self.first, site, rows, source.flatten())
         shares = self.body(hidden).sigmoid().to(prior.dtype).unflatten(0, prior.shape[:2])
-        for other, share in zip(others, shares.split(1, -1), strict=True):
+        *shares, trust = shares.split(1, -1)
+        for other, share in zip(others, shares, strict=True):
             prior = prior + share * (other - prior)
-        return prior
+        return prior, trust
 
 
 def sites(field: Embedding, p: Tensor, normal: Tensor, shape: Tensor) -> Tensor:

@@ -19,24 +19,25 @@ FAN = 13
 
 
 class ExpHead(MapHead):
-    """Exp_p(v) = walk(p, v) + |v| (f(v) - f(0)), with f told where the walk ended (ours).
+    """Exp_p(v) = walk(p, v) + t |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
     Walks over the cloud's planes are the priors: one over wide planes, which noise does not
-    disturb, one over planes of half the size, which see detail. A gate decides between their ends
-    by what the planes are like. f sees the triplane of z(p) at v, the ends, directions and normals
-    of the walks, the planes at p and the narrow embedding where the first walk landed. Exp_p(0) = p
-    and d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet, p + f(v).
+    disturb, one over planes of half the size, which see detail. By what the planes are like, a gate
+    decides between their ends, and what the correction counts, t. f sees the triplane of z(p) at v,
+    the ends, directions and normals of the walks, the planes at p and the narrow embedding where
+    the first walk landed. Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it
+    is the paper's ExpNet, p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         priors = max(1, len(config.walk_steps))
         told = 1 + 25 * priors + config.narrow if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, priors - 1) if priors > 1 else None
+        self.gate = Gate(told, priors - 1) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
-        if not self.config.anchored:
+        if self.gate is None:
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
@@ -48,8 +49,8 @@ class ExpHead(MapHead):
             told += [away / self.radius, bend, turned / self.radius, there]
             ends.append(moved)
         told.append(read_narrow(field, p[:, None] + ends[0], shape))
-        prior = ends[0] if self.gate is None else self.gate(ends, told, site)
-        return Prepared(z, v, prior, tuple(told), site)
+        prior, trust = self.gate(ends, told, site)
+        return Prepared(z, v, prior, tuple(told), site, trust)
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return x
@@ -71,13 +72,13 @@ class ExpHead(MapHead):
 
 
 class LogHead(MapHead):
-    """Log_p(q) = prior(x) + |x| (h(x) - h(0)) with x = q - p (ours).
+    """Log_p(q) = prior(x) + t |x| (h(x) - h(0)) with x = q - p (ours).
 
     Near p the prior lays the chord flat on the tangent plane of the cloud. Further away it is read
     from fans of geodesics, walked from p over the same planes as those of Exp; a gate decides
-    between them. h sees the triplane of z(p) at x, the priors, the planes at p, and the narrow
-    embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by construction. With
-    `anchored=False` it is the paper's LogNet: v = h(x).
+    between them, and what the correction counts, t. h sees the triplane of z(p) at x, the priors,
+    the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by
+    construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
@@ -85,12 +86,12 @@ class LogHead(MapHead):
         self.fans = len(config.walk_steps) if config.fan_rays else 0
         told = 3 + FAN * self.fans + 2 * config.narrow + 12 * scales if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, self.fans - 1) if self.fans > 1 else None
+        self.gate = Gate(told, max(1, self.fans) - 1) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         x = q - p[:, None]
-        if not self.config.anchored:
+        if self.gate is None:
             return Prepared(z, x)
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
         normal = field.planes.normal(p, shape)
@@ -102,10 +103,8 @@ class LogHead(MapHead):
             priors.append(fan)
             told.append(known)
         site = sites(field, p, normal, shape)
-        prior = priors[0] if priors else flat
-        if self.gate is not None:
-            prior = self.gate(priors, told, site)
-        return Prepared(z, x, prior, tuple(told), site)
+        prior, trust = self.gate(priors or [flat], told, site)
+        return Prepared(z, x, prior, tuple(told), site, trust)
 
     def on_fan(
         self, planes: LocalPlanes, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor

@@ -52,16 +52,32 @@ def test_anchored_heads_move_by_x_to_first_order(name, which):
     assert far.norm(dim=-1).mean() > 0.01  # the weights do have a say
 
 
-def test_the_gate_goes_from_the_first_prior_to_the_others():
+def test_the_gate_goes_from_the_first_prior_to_the_others_and_trusts_from_0_to_1():
     gate = Gate(told=5, others=1).double()
     priors = [torch.randn(2, 7, 3).double() for _ in range(2)]
     told, site = [torch.randn(2, 7, 2).double() for _ in range(2)], torch.randn(2, 1).double()
-    share = ((gate(priors, told, site) - priors[0]) / (priors[1] - priors[0])).detach()
+    prior, trust = (x.detach() for x in gate(priors, told, site))
+    share = (prior - priors[0]) / (priors[1] - priors[0])
     torch.testing.assert_close(share, share[..., :1].expand_as(share))
-    assert (share > 0).all() and (share < 1).all() and share.std() > 0
+    for x in (share, trust):
+        assert (x > 0).all() and (x < 1).all() and x.std() > 0
     for bias, expected in ((-1e3, priors[0]), (1e3, priors[1])):
         torch.nn.init.constant_(gate.body[-1].bias, bias)
-        torch.testing.assert_close(gate(priors, told, site), expected)
+        prior, trust = gate(priors, told, site)
+        torch.testing.assert_close(prior, expected)
+        torch.testing.assert_close(trust, torch.full_like(trust, bias > 0))
+
+
+@pytest.mark.parametrize("which", ["exp", "log"])
+def test_a_correction_that_is_not_trusted_leaves_the_prior(which):
+    field = field_with(HEADS["walked"])
+    head = getattr(field, f"{which}_head")
+    torch.nn.init.constant_(head.gate.body[-1].bias[-1:], -1e3)
+    points, shape = lumpy(300), torch.zeros(5, dtype=torch.long)
+    with torch.no_grad():
+        embedding = field.embed(points, torch.zeros(300, dtype=torch.long))
+        found = head.prepare(embedding, points[:5], points[:5, None] + 0.1, shape)
+        torch.testing.assert_close(head.answer(*found).vector, found.prior)
 
 
 def test_the_straight_and_untold_configuration_is_possible():

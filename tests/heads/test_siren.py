@@ -83,7 +83,7 @@ def test_it_starts_as_sitzmann_et_al_start_it():
 @pytest.mark.parametrize("which", MAPS)
 @pytest.mark.parametrize("name", ["anchored", "straight"])
 def test_anchoring_is_exact(which, name):
-    """Zero stays zero (|x| has a least value), d(Exp_p)_0 = d(Log_p)_p = I, whatever the weights."""
+    """Zero stays zero (|x| has a least value), d(Exp_p)_0 = d(Log_p)_p = I, whatever weights."""
     surface = surface_with(HEADS[name])
     p, x = queries()
     zero = torch.zeros_like(x)
