@@ -21,8 +21,10 @@ from riemlayer.losses import Truth
 class Batch:
     """A packed batch of clouds and their ground truth, where there is any."""
 
-    def __init__(self, points: Tensor, batch: Tensor, truth: Truth | None) -> None:
-        self.points, self.batch, self._truth = points, batch, truth
+    def __init__(
+        self, points: Tensor, batch: Tensor, truth: Truth | None, normals: Tensor | None = None
+    ) -> None:
+        self.points, self.batch, self._truth, self.normals = points, batch, truth, normals
 
     @property
     def truth(self) -> Truth:
@@ -36,7 +38,8 @@ class Batch:
         truth = self._truth
         if truth is not None:
             truth = Truth(*(getattr(truth, f.name).to(device) for f in fields(Truth)))
-        return Batch(self.points.to(device), self.batch.to(device), truth)
+        normals = None if self.normals is None else self.normals.to(device)
+        return Batch(self.points.to(device), self.batch.to(device), truth, normals)
 
 
 def collate(samples: list[TrainingSample]) -> Batch:
@@ -46,7 +49,13 @@ def collate(samples: list[TrainingSample]) -> Batch:
     parts = {f.name: torch.cat([getattr(s.truth, f.name) for s in samples]) for f in fields(Truth)}
     parts["shape"] = index.repeat_interleave(torch.tensor([len(s.truth.p) for s in samples]))
     points = torch.cat([s.points for s in samples])
-    return Batch(points, index.repeat_interleave(counts), Truth(**parts))
+    normals = [s.normals for s in samples if s.normals is not None]
+    return Batch(
+        points,
+        index.repeat_interleave(counts),
+        Truth(**parts),
+        torch.cat(normals) if normals else None,
+    )
 
 
 class SeededSampler(Sampler[tuple[int, int]]):
@@ -131,7 +140,7 @@ class ExpLogDataModule(L.LightningDataModule):
         """Lists the samples; called by the trainer."""
         shapes, train, held = self._shapes()
         self.train = shapes(train, self.augmentation, self.sources, self.vectors, self.tau)
-        still = Augmentation.none()
+        still = Augmentation.none(self.augmentation.normals)
         self.held = shapes(held[: self.limit_validation], still, self.sources, self.vectors)
         self.sampler = self._sampler(len(train), shuffle=True)
 

@@ -71,7 +71,7 @@ class ExpLogFineTuning(ExpLogPretraining):
         self.field.backbone.requires_grad_(learns)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        surface = self.field.encode_in_cube(batch.points, batch.batch)
+        surface = self.field.encode_in_cube(batch.points, batch.batch, batch.normals)
         if self.self_supervised:
             losses = self_supervised_losses(surface, self.losses, self.sources, self.vectors)
         else:

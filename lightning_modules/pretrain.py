@@ -58,7 +58,7 @@ class ExpLogPretraining(L.LightningModule):
         )
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
-        surface = self.field.encode_in_cube(batch.points, batch.batch)
+        surface = self.field.encode_in_cube(batch.points, batch.batch, batch.normals)
         losses = explog_losses(surface, batch.truth, self.losses)
         names = {f"train/{name}": loss for name, loss in losses.items()}
         self.log_dict(names, batch_size=len(batch.truth.p))
@@ -69,7 +69,7 @@ class ExpLogPretraining(L.LightningModule):
 
     @torch.no_grad()
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
-        surface = self.field.encode_in_cube(batch.points, batch.batch)
+        surface = self.field.encode_in_cube(batch.points, batch.batch, batch.normals)
         truth, shape = batch.truth, batch.truth.shape[:, None]
         good = truth.valid & truth.known
         exp, _ = surface.decode_exp(truth.p[:, None], truth.v, shape)

@@ -103,11 +103,6 @@ class ExpLogField(Pretrained, nn.Module):
         checks.check_points(points, batch)
         if normals is not None:
             checks.check_normals(normals, points)
-        elif self.config.backbone.normals:
-            raise ValueError(
-                "`normals` must be given: this field was made for clouds with oriented normals; "
-                "the packaged `base` is for clouds without"
-            )
         if batch is None:
             batch = torch.zeros(len(points), dtype=torch.long, device=points.device)
         centre, scale = bounding_cubes(points, batch)
@@ -130,6 +125,11 @@ class ExpLogField(Pretrained, nn.Module):
     def embed(self, points: Tensor, batch: Tensor, normals: Tensor | None = None) -> Embedding:
         """Embedding field of packed clouds (N, 3) that already lie in the cube."""
         backbone = self.config.backbone
+        if backbone.normals and normals is None:
+            raise ValueError(
+                "`normals` must be given: this field was made for clouds with oriented normals; "
+                "the packaged `base` is for clouds without"
+            )
         scales = max(1, len(self.config.head.walk_steps))
         octree = build_octree(
             points,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.losses import Truth
+from riemlayer.numerics import normalise
 
 LONGEST = 0.53
 """Longer vectors, in the normalised cube, are not trained on."""
@@ -36,11 +37,14 @@ class Augmentation:
     """Shapes are scaled by a factor in [smallest, 1]."""
     turn_freely: float = 0.5
     """Probability of a uniform rotation; otherwise axes are permuted, with a small tilt."""
+    normals: bool = False
+    """Whether clouds come with outward normals, which noise leaves as they are. Raw surfaces, whose
+    normals have no side, are not drawn then."""
 
     @classmethod
-    def none(cls) -> Augmentation:
+    def none(cls, normals: bool = False) -> Augmentation:
         """Vertices as they are, upright: for validation."""
-        return cls(as_meshed=1, soup=0, uneven=0, noise=0, cut=0, smallest=1, turn_freely=-1)
+        return cls(1, 0, 0, 0, cut=0, smallest=1, turn_freely=-1, normals=normals)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class TrainingSample:
     points: Tensor
     """(N, 3)"""
     truth: Truth
+    normals: Tensor | None = None
+    """(N, 3), where they were asked for."""
 
 
 def training_sample(
@@ -69,7 +75,7 @@ def training_sample(
         sources, vectors: S and K; pairs (i, i + K/2) stay pairs.
         tau: threshold of the filter, Eq. (8).
     """
-    points = draw_points(sample, how, generator)
+    cloud = draw_points(sample, how, generator)
     s = torch.randperm(len(sample["p"]), generator=generator)[:sources]
     half = sample["v"].shape[1] // 2
     k = torch.randperm(half, generator=generator)[: vectors // 2]
@@ -79,41 +85,53 @@ def training_sample(
     known = sample["complete"][s][:, k].bool()
     if _chance(how.cut, generator):
         on_path = torch.stack((p[:, None].expand_as(q), half_way(v, q), q))  # (3, S, K, 3)
-        points, kept = cut_open(points, on_path, generator)
+        cloud, kept = cut_open(cloud, on_path, generator)
         known = known & kept.all(0)
     turn = rotation(how.turn_freely, generator) if how.turn_freely >= 0 else torch.eye(3)
-    points, p, v, q = (x @ turn.T for x in (points, p, v, q))
+    points, *normals, p, v, q = (x @ turn.T for x in (*cloud.split(3, -1), p, v, q))
     low, high = points.amin(0), points.amax(0)
     scale = _uniform(how.smallest, 1, generator) * 2 / (high - low).max()
     points, p, q = ((x - (low + high) / 2) * scale for x in (points, p, q))
     v = v * scale
     known = known & (v.norm(dim=-1) <= LONGEST)
-    return TrainingSample(points, Truth(p, v, q, valid, known, torch.zeros(len(p)).long()))
+    truth = Truth(p, v, q, valid, known, torch.zeros(len(p)).long())
+    return TrainingSample(points, truth, normalise(normals[0]) if normals else None)
 
 
 def draw_points(
     sample: Mapping[str, Tensor], how: Augmentation, generator: torch.Generator
 ) -> Tensor:
-    """A cloud (N, 3) of the shape: vertices, surface samples or soup, uneven, noisy."""
-    if "soup" in sample and _chance(how.soup, generator):
+    """A cloud (N, 3) of the shape: vertices, surface samples or soup, uneven, noisy.
+
+    With `how.normals` it is (N, 6): points, and what is nearly their normals.
+    """
+    vertices, faces = sample["vertices"], sample["faces"]
+    if how.normals:
+        from riemlayer.data.manifold import vertex_normals  # needs the extra `data`
+
+        normals = vertex_normals(vertices.double().numpy(), faces.long().numpy())
+        vertices = torch.cat((vertices, torch.from_numpy(normals).to(vertices)), -1)
+    if "soup" in sample and not how.normals and _chance(how.soup, generator):
         points = sample["soup"]
     elif _chance(how.as_meshed, generator):
-        points = sample["vertices"]
+        points = vertices
     else:
         n = int(_uniform(*how.points, generator))
-        points = sample_surface(sample["vertices"], sample["faces"], 3 * n, generator)
-        points = thin_out(points, n)
+        points = thin_out(sample_surface(vertices, faces, 3 * n, generator), n)
     if _chance(how.uneven, generator):
-        points = points[uneven(points, generator)]
+        points = points[uneven(points[:, :3], generator)]
     if _chance(how.noise, generator):
-        points = points + noise_like(points, _uniform(0, how.noise_size, generator), generator)
+        x, *rest = points.split(3, -1)
+        x = x + noise_like(x, _uniform(0, how.noise_size, generator), generator)
+        points = torch.cat((x, *rest), -1)
     return points
 
 
 def sample_surface(vertices: Tensor, faces: Tensor, n: int, generator: torch.Generator) -> Tensor:
-    """(n, 3) independent points, uniform by area."""
-    corners = vertices[faces.long()]  # (m, 3, 3)
-    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    """(n, 3) independent points, uniform by area; further columns of `vertices` go with them."""
+    corners = vertices[faces.long()]  # (m, 3, 3 or more)
+    a, b, c = corners[..., :3].unbind(1)
+    normal = torch.linalg.cross(b - a, c - a)
     area = normal.norm(dim=-1).double().cumsum(0)
     at = torch.searchsorted(area, torch.rand(n, generator=generator).double() * area[-1])
     a, b = torch.rand(2, n, 1, generator=generator)
@@ -123,12 +141,13 @@ def sample_surface(vertices: Tensor, faces: Tensor, n: int, generator: torch.Gen
 
 
 def thin_out(points: Tensor, n: int) -> Tensor:
-    """About n of the points, spread more evenly: the first in each of about n grid cells (ours)."""
-    side = 0.1
+    """About n of the rows, whose points are spread more evenly: the first in each of about n grid
+    cells (ours)."""
+    side, x = 0.1, points[:, :3]
     for _ in range(4):  # the number of occupied cells falls with the square of their side
-        cells = torch.unique((points / side).floor().long() @ _CELL)
+        cells = torch.unique((x / side).floor().long() @ _CELL)
         side *= math.sqrt(len(cells) / n)
-    _, cell = torch.unique((points / side).floor().long() @ _CELL, return_inverse=True)
+    _, cell = torch.unique((x / side).floor().long() @ _CELL, return_inverse=True)
     first = torch.full((int(cell.max()) + 1,), len(points)).scatter_reduce(
         0, cell, torch.arange(len(points)), "amin"
     )
@@ -160,13 +179,14 @@ def noise_like(points: Tensor, size: float, generator: torch.Generator) -> Tenso
     return torch.nn.functional.normalize(normal, dim=-1) * length
 
 
-def cut_open(points: Tensor, queries: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def cut_open(cloud: Tensor, queries: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Removes holes, all beyond a plane, or what a camera would not see (ours).
 
     Returns:
-        The points that stay, and which `queries` (..., 3) lie where something stayed.
+        The rows of the cloud, (N, 3) or more, that stay, and which `queries` (..., 3) lie where
+        something stayed.
     """
-    flat = queries.flatten(0, -2)
+    points, flat = cloud[:, :3], queries.flatten(0, -2)
     if _chance(0.5, generator):
         centre = points[torch.randint(len(points), (4,), generator=generator)]
         radius = _uniform(0.05, 0.25, generator)
@@ -178,8 +198,8 @@ def cut_open(points: Tensor, queries: Tensor, generator: torch.Generator) -> tup
     else:
         keep, kept = seen(points, flat, rotation(1, generator))
     if int(keep.sum()) < 1000:
-        return points, torch.ones(queries.shape[:-1], dtype=torch.bool)
-    return points[keep], kept.view(queries.shape[:-1])
+        return cloud, torch.ones(queries.shape[:-1], dtype=torch.bool)
+    return cloud[keep], kept.view(queries.shape[:-1])
 
 
 def seen(

@@ -1,6 +1,7 @@
 """Sample files as a data set, and what augmentation may and may not change."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -183,6 +184,31 @@ def test_a_camera_sees_the_near_half_of_a_sphere(sphere):
     towards = points @ camera[2]
     assert keep[towards > 0.6].all()
     assert not keep[towards < -0.15].any()
+
+
+@pytest.mark.parametrize("how", [replace(x, normals=True) for x in (Augmentation(), ALWAYS)])
+def test_normals_go_with_their_points(sphere, how):
+    """On a sphere the outward normal is the direction from the centre, which scale and shift move;
+    so the points along their normals meet in one point."""
+    sphere = sphere | {"soup": torch.zeros(900, 3)}
+    for seed in range(12):
+        item = training_sample(sphere, replace(how, noise=0), generator(seed))
+        assert item.normals is not None and item.normals.shape == item.points.shape
+        radius = torch.linalg.lstsq(
+            (item.normals - item.normals.mean(0)).reshape(-1, 1),
+            (item.points - item.points.mean(0)).reshape(-1, 1),
+        ).solution
+        centre = item.points - radius * item.normals
+        assert radius > 0.5
+        assert (centre - centre.mean(0)).norm(dim=-1).max() < 0.01
+
+
+def test_without_normals_none_are_made_and_nothing_else_changes(sphere):
+    for seed in range(6):
+        plain = training_sample(sphere, Augmentation(), generator(seed))
+        told = training_sample(sphere, Augmentation(normals=True), generator(seed))
+        assert plain.normals is None
+        torch.testing.assert_close(plain.points, told.points)
 
 
 def test_half_way_points_are_half_way(sphere):
