@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from riemlayer.data.readers import read_shape
+from riemlayer.data.stream import ShardedSamples, is_sharded
 from riemlayer.field import ExpLogField
 from riemlayer.octree import interpolate
 from riemlayer.ops import local_geometry
@@ -53,27 +54,39 @@ class Prediction(NamedTuple):
 
 
 class CloudFiles(Dataset):
-    """Item i -> the `Cloud` of a file, or the `Failure` to read it.
+    """Item i -> the `Cloud` of a file or of a sample in shards, or the `Failure` to read it.
 
     Args:
-        folder: what names are relative to.
-        names: of files that `riemlayer.data.read_shape` reads.
-        points: samples of a mesh; the points of a cloud are kept.
+        folder: what names are relative to; or a folder or URL of shards, whose samples give their
+            vertices.
+        names: of files that `riemlayer.data.read_shape` reads, or of samples.
+        points: samples of a mesh file; the points of a cloud are kept.
         seed: of the samples.
     """
 
-    def __init__(self, folder: Path, names: Sequence[str], points: int, seed: int) -> None:
+    def __init__(self, folder: str | Path, names: Sequence[str], points: int, seed: int) -> None:
         self.folder, self.names, self.points, self.seed = folder, list(names), points, seed
+        self.shards = ShardedSamples([folder]) if is_sharded(folder) else None
+        self.place = (
+            {} if self.shards is None else {x: i for i, x in enumerate(self.shards.names())}
+        )
 
     def __len__(self) -> int:
         return len(self.names)
 
+    def read(self, name: str) -> NDArray[np.float64]:
+        """Points (N, 3) of the file or sample of that name."""
+        if self.shards is not None:
+            return self.shards.load(self.place[name])["vertices"].double().numpy()
+        return read_shape(Path(self.folder) / name).cloud(self.points, self.seed)
+
     def __getitem__(self, i: int) -> Cloud | Failure:
         name = self.names[i]
         try:
-            points = read_shape(self.folder / name).cloud(self.points, self.seed)
-        except (ValueError, OSError) as error:
-            return Failure(name, " ".join(str(error).split()))
+            points = self.read(name)
+        except Exception as error:  # a file system raises what it likes
+            reason = " ".join(str(error).split())
+            return Failure(name, f"{name}: {reason}" if self.place else reason)
         low, high = points.min(0), points.max(0)
         scale = float((high - low).max() / 2)
         x = torch.from_numpy((points - (low + high) / 2) / scale).float()
@@ -81,7 +94,7 @@ class CloudFiles(Dataset):
 
 
 class CloudFilesModule(L.LightningDataModule):
-    """The files of a folder that have no answer yet; each goes to one rank.
+    """The files of a folder, or samples of shards, without an answer yet; each goes to one rank.
 
     For a trainer with `use_distributed_sampler=False`.
 
@@ -94,7 +107,7 @@ class CloudFilesModule(L.LightningDataModule):
 
     def __init__(
         self,
-        folder: Path,
+        folder: str | Path,
         names: Sequence[str],
         finished: Callable[[str], bool],
         points: int = 10_000,

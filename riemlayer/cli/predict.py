@@ -75,13 +75,20 @@ def register(app: typer.Typer) -> None:
 
 def predict(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of meshes and clouds.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="DIR",
+            help="Folder of meshes and clouds, or folder or URL of shards.",
+            show_default=False,
+        ),
     ],
     out: Folder,
     question: Question,
     ranks: Ranks,
 ) -> Answer | None:
     """Answers of a field for every file of a folder: OUT/NAME.npz for DIR/NAME.
+
+    Of shards that `riemlayer prepare --shards` wrote, the vertices of every sample are answered.
 
     Files that have their answer are skipped, so a run that stopped is continued by the same call.
     Files that cannot be read are named in OUT/failures.jsonl and make the exit code 2.
@@ -126,14 +133,24 @@ def predict(
     return told(out, writer, len(names) - len(data.todo))
 
 
-def names_of(folder: Path, out: Path) -> list[str]:
-    """Files of the folder, by their names in it."""
-    if not folder.is_dir():
-        raise UserError(f"{folder} must be a folder of meshes and clouds; make one, or name it")
-    check_folder(out, folder)
-    if out.absolute().resolve().is_relative_to(folder.absolute().resolve()):
-        raise UserError(f"--out {out} lies in {folder}, which is never written to; name another")
-    return [str(x.relative_to(folder)) for x in shape_files([folder])]
+def names_of(folder: str, out: Path) -> list[str]:
+    """Files of the folder, by their names in it; or samples of the shards."""
+    place = Path(folder)
+    if "://" not in folder:
+        if not place.is_dir():
+            raise UserError(f"{folder} must be a folder of meshes and clouds; make one, or name it")
+        check_folder(out, place)
+        if out.absolute().resolve().is_relative_to(place.absolute().resolve()):
+            raise UserError(
+                f"--out {out} lies in {folder}, which is never written to; name another"
+            )
+    stream = import_module("riemlayer.data.stream")
+    if not stream.is_sharded(folder):
+        return [str(x.relative_to(place)) for x in shape_files([place])]
+    try:
+        return stream.ShardedSamples([folder]).names()
+    except (OSError, ValueError) as error:
+        raise UserError(str(error)) from error
 
 
 def check_settings(out: Path, settings: dict[str, Any]) -> None:

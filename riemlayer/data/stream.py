@@ -90,7 +90,7 @@ class ShardedSamples:
         for j in range(len(chosen)):
             k = chosen[(i + j) % len(chosen)]
             try:
-                return self._read(k)
+                return self.load(k)
             except Exception as error:  # whatever the file system raises
                 self._count(k, error)
         raise ValueError(f"none of {len(chosen)} samples can be read; prepare the shards again")
@@ -106,7 +106,16 @@ class ShardedSamples:
         if not known:
             warnings.warn(f"{which}; another takes its place ({bad} so far)", stacklevel=2)
 
-    def _read(self, k: int) -> dict[str, Tensor]:
+    def names(self) -> list[str]:
+        """Of all samples, in the order of the manifests."""
+        return [str(name) for name in self.table["name"]]
+
+    def load(self, k: int) -> dict[str, Tensor]:
+        """Tensors of sample k itself.
+
+        Raises:
+            Exception: it cannot be read; whatever the file system raises, or ValueError.
+        """
         from safetensors.torch import load
 
         return check_sample(load(self.fetch(k)), str(self.table["name"][k]))

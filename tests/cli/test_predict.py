@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from references import lumpy
 
+from riemlayer.data.sample_file import write_sample
+from riemlayer.data.shards import pack
+
 pytest.importorskip("lightning")
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:lightning")
 
@@ -68,3 +71,19 @@ def test_two_ranks_answer_each_cloud_once(clouds, tiny, tmp_path):
     found = sorted(x.name for x in (tmp_path / "out").iterdir())
     kept = ["failures.jsonl", "settings.json", "throughput.json"]
     assert found == sorted([f"{i}.npz.npz" for i in range(5)] + kept)
+
+
+def test_shards_are_read_too_and_need_their_manifest(run, well, refused, tiny, tmp_path):
+    samples, shards = tmp_path / "samples", tmp_path / "shards"
+    samples.mkdir()
+    names = ("vertices", "faces", "p", "normal", "v", "q", "divergence", "complete")
+    for name in ("one", "two"):
+        arrays = {x: lumpy(200).float().numpy() for x in names}
+        write_sample(samples / f"{name}.safetensors", arrays, {"name": name})
+    pack(samples, shards)
+    words = ["predict", shards, "-o", tmp_path / "out", "--weights", tiny]
+    assert well(*words, "--json").facts["written"] == 2
+    assert (tmp_path / "out" / "two.npz").is_file()
+    (shards / "manifest.jsonl").unlink()
+    refused(run(*words), "manifest.jsonl", "riemlayer prepare --shards")
+    refused(run("predict", "nowhere://x", "-o", tmp_path / "o", "--weights", tiny), "nowhere")

@@ -10,6 +10,9 @@ import torch
 from references import lumpy, shaken
 
 from lightning_modules import CloudFilesModule, ExpLogPredictor, PredictionFiles
+from riemlayer.data.dataset import read_sample
+from riemlayer.data.shards import pack
+from riemlayer.data.stream import ShardedSamples
 from riemlayer.ops import local_geometry
 
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:lightning")  # it talks of its own matters
@@ -158,3 +161,28 @@ class Rank:
 def test_arguments_are_checked(field, given, named):
     with pytest.raises(ValueError, match=named):
         ExpLogPredictor(field, **given)
+
+
+def test_samples_of_shards_are_answered_at_their_vertices(field, folder, tmp_path):
+    """As a file of the same points; one whose bytes changed is named, and the others are there."""
+    shards, clouds = tmp_path / "shards", tmp_path / "clouds"
+    pack(folder, shards, size=2)
+    clouds.mkdir()
+    vertices = read_sample(folder / "sphere1.safetensors")["vertices"]
+    np.savez(clouds / "one.npz", points=vertices.numpy())
+    lines = [json.loads(line) for line in (shards / "manifest.jsonl").read_text().splitlines()]
+    bad = next(x for x in lines if x["name"] == "sphere3")
+    with open(shards / bad["shard"], "r+b") as file:
+        file.seek(bad["offset"] + bad["bytes"] - 1)
+        file.write(b"?")
+    wanted = ShardedSamples([shards]).names()
+    writer = predict(field, str(shards), tmp_path / "out", "log", only=wanted)
+    assert [x.name for x in writer.failures] == ["sphere3"]
+    assert "checksum" in writer.failures[0].reason
+    assert sorted(x.stem for x in (tmp_path / "out").glob("*.npz")) == sorted(
+        set(wanted) - {"sphere3"}
+    )
+    predict(field, clouds, tmp_path / "alone", "log", only=["one.npz"])
+    found, alone = arrays(tmp_path / "out/sphere1.npz"), arrays(tmp_path / "alone/one.npz.npz")
+    for name, x in found.items():
+        np.testing.assert_allclose(x, alone[name], rtol=0, atol=1e-5, err_msg=name)
