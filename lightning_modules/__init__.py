@@ -6,6 +6,7 @@ from lightning_modules.clouds import CloudDataModule
 from lightning_modules.datamodule import ExpLogDataModule
 from lightning_modules.finetune import ExpLogFineTuning
 from lightning_modules.guard import DivergedError, DivergenceGuard
+from lightning_modules.heads import ExpLogHeadFitting, LookUpModule
 from lightning_modules.monitors import Memory, Throughput
 from lightning_modules.predict import CloudFilesModule, ExpLogPredictor
 from lightning_modules.pretrain import ExpLogPretraining
@@ -19,9 +20,11 @@ __all__ = [
     "DivergenceGuard",
     "ExpLogDataModule",
     "ExpLogFineTuning",
+    "ExpLogHeadFitting",
     "ExpLogPredictor",
     "ExpLogPretraining",
     "ExponentialAverage",
+    "LookUpModule",
     "Memory",
     "PredictionFiles",
     "SoundCheckpoint",

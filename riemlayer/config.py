@@ -102,8 +102,6 @@ class FieldConfig:
     head: HeadConfig = field(default_factory=HeadConfig)
     radius: float = 0.5
     """Trained tangent radius, in the normalised cube [-1, 1]^3."""
-    plane_width: int = 32
-    """Width of the networks that correct the planes which walks and fans go over; 0: PCA's."""
 
     @classmethod
     def base(cls) -> FieldConfig:
@@ -143,7 +141,6 @@ class FieldConfig:
             HeadConfig(
                 resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8), fan_rays=12
             ),
-            plane_width=8,
         )
 
     @classmethod
@@ -172,7 +169,6 @@ class FieldConfig:
             if isinstance(walk := head.get("walk_steps"), int):  # before there were several walks
                 head["walk_steps"] = (walk,) if walk else ()
             rest = {k: v for k, v in values.items() if k not in ("backbone", "head")}
-            rest.setdefault("plane_width", 0)  # before planes were corrected
             backbone = BackboneConfig(**_tuples(values["backbone"]))
             return cls(backbone=backbone, head=HeadConfig(**head), **rest)
         except (AttributeError, KeyError, TypeError) as error:

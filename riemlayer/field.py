@@ -18,11 +18,11 @@ import torch
 from torch import Tensor, nn
 
 from riemlayer import checks
-from riemlayer.backbone import PlaneCorrection, make_backbone
+from riemlayer.backbone import make_backbone
 from riemlayer.config import FieldConfig
-from riemlayer.geometry import LocalPlanes, planes_at_scales
+from riemlayer.geometry import planes_at_scales
 from riemlayer.heads import Embedding, ExpHead, LogHead
-from riemlayer.octree import Octree, build_octree
+from riemlayer.octree import build_octree
 from riemlayer.storage import Pretrained
 from riemlayer.surface import EncodedSurface
 
@@ -58,10 +58,6 @@ class ExpLogField(Pretrained, nn.Module):
         c = config.backbone.embedding
         self.backbone = make_backbone(config.backbone)
         self.narrow = nn.Linear(c, config.head.narrow) if config.head.narrow else None
-        width, scales = config.plane_width, len(config.head.walk_steps)
-        self.corrections = nn.ModuleList(
-            PlaneCorrection(c, width) for _ in range(scales * bool(width))
-        )
         self.exp_head = ExpHead(c, config.radius, config.head)
         self.log_head = LogHead(c, config.radius, config.head)
 
@@ -142,21 +138,9 @@ class ExpLogField(Pretrained, nn.Module):
             told = (normals,) if backbone.normals else ()
             z = self.backbone(points, octree, planes[0], *told)
             narrow = None if self.narrow is None else self.narrow(z).to(points.dtype)
-            planes = self.corrected(z, octree, planes)
         return Embedding(
             z.to(points.dtype), narrow, octree.level(backbone.depth), planes[0], planes[1:]
         )
-
-    def corrected(
-        self, z: Tensor, octree: Octree, planes: tuple[LocalPlanes, ...]
-    ) -> tuple[LocalPlanes, ...]:
-        """Planes as the network sees them: those of each scale, over the corrected coarser ones."""
-        leaves, coarse, changed = octree.level(self.config.backbone.depth), planes[0].coarse, []
-        for correct, pair in zip(self.corrections, planes, strict=False):
-            fine = correct(z, leaves, pair)
-            changed.append(LocalPlanes(fine, coarse))
-            coarse = fine
-        return tuple(changed) or planes
 
     def forward(
         self,

@@ -28,11 +28,12 @@ class LossWeights:
     cyc: float = 0.01
     """Eq. (4), cycle consistency."""
     pairs: float = 0.0
-    """Sobolev pairs (ours)."""
+    """Sobolev pairs of Log (ours), whose distances and angles Eqs (5) and (6) measure. Of Exp they
+    would favour the smoother of two walks before the nearer one."""
     validity: float = 0.1
     """Cross entropy of the validity (ours); touches nothing but the validity's own layer."""
     prior: float = 0.0
-    """Reconstruction of Exp and Log by their priors alone (ours): it teaches planes and gates."""
+    """Reconstruction of Exp and Log by their priors alone (ours): it teaches gates."""
     relative: bool = False
     """Weight reconstruction by 1 / (|v| + 0.1) (ours), so that small radii count."""
 
@@ -97,7 +98,7 @@ def cycle_loss(back: Tensor, v: Tensor, weight: Tensor) -> Tensor:
 def pair_loss(error: Tensor, apart: Tensor, weight: Tensor) -> Tensor:
     """Sobolev pairs (ours): L1 change of the error between two neighbours, over their distance.
 
-    It is what the angle and distance metrics, Eq. (5), see of a map.
+    It is what the metrics of angles and distances, Eqs (5) and (6), see of a map.
 
     Args:
         error: (..., K, 3) predicted minus true; query i pairs with query i + K/2.
@@ -161,7 +162,6 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
     moved, v_cube = (q - p) / scale, v / scale
     (exp, exp_logit), exp_prior = _answer(surface, "exp", truth)
     (log, log_logit), log_prior = _answer(surface, "log", truth)
-    off_exp, off_log = exp - moved, log - v_cube
     mean = partial(mean_over_shapes, truth.shape, len(surface.scale))
     terms = {
         "exp": mean(reconstruction_loss, exp, moved, weight),
@@ -174,9 +174,7 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
         )
         total = total + weights.prior * terms["prior"]
     if weights.pairs:
-        terms["pairs"] = mean(pair_loss, off_exp, v_cube, weight) + mean(
-            pair_loss, off_log, q / scale, weight
-        )
+        terms["pairs"] = mean(pair_loss, log - v_cube, q / scale, weight)
         total = total + weights.pairs * terms["pairs"]
     if weights.cyc:
         some = slice(None, None, 4)

@@ -132,16 +132,6 @@ def outer6(n: Tensor) -> Tensor:
     return torch.stack((x * x, y * y, z * z, x * y, x * z, y * z), -1)
 
 
-def matrix6(m: Tensor) -> Tensor:
-    """Symmetric matrices (..., 3, 3) from their six entries (..., 6), in the order of `outer6`.
-
-    >>> matrix6(outer6(torch.tensor([1.0, 2.0, 3.0])))[1]
-    tensor([2., 4., 6.])
-    """
-    a, b, c, d, e, f = m.unbind(-1)
-    return torch.stack((a, d, e, d, b, f, e, f, c), -1).unflatten(-1, (3, 3))
-
-
 def symmetric_eigenvalues(m: Tensor) -> Tensor:
     """Eigenvalues, ascending, of symmetric matrices given by six entries: (..., 6) -> (..., 3).
 

@@ -1,7 +1,6 @@
 """Octree U-Net, and the PointNet of the ablation."""
 
 from riemlayer.backbone.conv import OctreeConv, OctreeDown, OctreeUp
-from riemlayer.backbone.correction import PlaneCorrection
 from riemlayer.backbone.pointnet import PointNet
 from riemlayer.backbone.unet import OctreeUNet
 from riemlayer.config import BackboneConfig
@@ -12,12 +11,4 @@ def make_backbone(config: BackboneConfig) -> OctreeUNet | PointNet:
     return {"octree": OctreeUNet, "pointnet": PointNet}[config.kind](config)
 
 
-__all__ = [
-    "OctreeConv",
-    "OctreeDown",
-    "OctreeUNet",
-    "OctreeUp",
-    "PlaneCorrection",
-    "PointNet",
-    "make_backbone",
-]
+__all__ = ["OctreeConv", "OctreeDown", "OctreeUNet", "OctreeUp", "PointNet", "make_backbone"]

@@ -41,8 +41,8 @@ class PlaneLevel(NamedTuple):
 
     level: Level
     plane: Tensor
-    """(7, n + 1): centroid; unit normal, whose sign has a meaning where the points' normals were
-    given; and what the plane counts beside others, 1 as PCA leaves it."""
+    """(6, n + 1): centroid, and unit normal; its sign has a meaning where the points' normals were
+    given."""
     eigenvalues: Tensor
     """(n, 3) of the local covariance, ascending."""
     other_side: Tensor
@@ -52,11 +52,11 @@ class PlaneLevel(NamedTuple):
     def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
         """Sums (5, Q) of oriented normals, signed distances of `x` (3, Q), and the weights."""
         node, weight = corner_columns(self.level, x, batch)  # (8, Q)
-        near = self.plane.index_select(1, node.flatten()).view(7, 8, -1)
-        centroid, normal, counts = near[:3], near[3:6], near[6]  # (3, 8, Q), (8, Q)
+        near = self.plane.index_select(1, node.flatten()).view(6, 8, -1)
+        centroid, normal = near[:3], near[3:]  # (3, 8, Q)
         offset = x[:, None] - centroid
         exponent = offset.square().sum(0) * (-0.5 / (BLEND * self.level.cell_size) ** 2)
-        weight = weight * counts * exponent.clamp_min(NEGLIGIBLE).exp()
+        weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
         agree = (normal * towards[:, None]).sum(0).detach()
         side = torch.where(agree < 0, self.other_side, torch.ones_like(self.other_side))
         sign, weight = weight * side, weight * side.abs()
@@ -66,10 +66,10 @@ class PlaneLevel(NamedTuple):
     def facing(self, normals: Tensor, node: Tensor) -> PlaneLevel:
         """The same planes, turned to the side of most of their points' normals (N, 3) (ours)."""
         mean = segment_sum(normals, node, len(self.level))
-        centroid, normal, counts = self.plane.split((3, 3, 1))
+        centroid, normal = self.plane.split(3)
         agree = (normal[:, :-1].T * mean).sum(-1)
         sign = F.pad(torch.where(agree < 0, -1.0, 1.0).to(normal.dtype), (0, 1))
-        plane = torch.cat((centroid, normal * sign, counts))
+        plane = torch.cat((centroid, normal * sign))
         return self._replace(plane=plane, other_side=torch.zeros_like(self.other_side))
 
     def nearest_of_eight(self, x: Tensor, batch: Tensor) -> Tensor:
@@ -79,11 +79,7 @@ class PlaneLevel(NamedTuple):
 
     def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
         """Normal (Q, 3) of the nearest of the eight nodes around `x`; 0 where there is none."""
-        return self.plane[3:6, self.nearest_of_eight(x, batch)].T
-
-    def spread(self) -> Tensor:
-        """Spread (n, 3) of the points along their principal axes, in cells, without a gradient."""
-        return self.eigenvalues.detach().clamp_min(0).sqrt() / self.level.cell_size
+        return self.plane[3:, self.nearest_of_eight(x, batch)].T
 
     def spectra(self, x: Tensor, batch: Tensor) -> Tensor:
         """Spread (Q, 6) of the cloud around `x` along its principal axes, in cells; no gradient.
@@ -95,7 +91,8 @@ class PlaneLevel(NamedTuple):
         around = self.level.neighbours[node.clamp_max(n - 1)]  # (Q, 27)
         index = torch.cat((node[:, None], around), -1)
         exists = ((index < n) & (node < n)[:, None])[..., None]
-        spread = self.spread()[index.clamp_max(n - 1)] * exists  # (Q, 28, 3)
+        variance = self.eigenvalues.detach()[index.clamp_max(n - 1)].clamp_min(0)
+        spread = variance.sqrt() * exists / self.level.cell_size  # (Q, 28, 3)
         mean = spread[:, 1:].sum(1) / exists[:, 1:].sum(1).clamp_min(1)
         return torch.cat((spread[:, 0], mean), -1)
 
@@ -162,7 +159,7 @@ class LocalPlanes(NamedTuple):
         plane = self.fine
         values = plane.eigenvalues[node]
         ratios = (values[:, :2] / values[:, 2:].clamp_min(1e-12)).clamp(0, 1)
-        centroid, normal, _ = plane.plane.T[node].split((3, 3, 1), -1)
+        centroid, normal = plane.plane.T[node].split(3, -1)
         offset = (points - centroid) / plane.level.cell_size
         return torch.cat((outer6(normal), ratios, offset), -1)
 
@@ -250,8 +247,8 @@ def _plane_level(level: Level, moments: Moments, around: Moments, wide: Moments)
     covariance = _settled(covariance, level.cell_size)
     eigenvalues = symmetric_eigenvalues(covariance)
     normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
-    plane = torch.cat((moments.centroid, normal, torch.ones_like(normal[:, :1])), -1)
-    plane = torch.cat((plane, plane.new_zeros(1, 7))).T.contiguous()
+    plane = torch.cat((moments.centroid, normal), -1)
+    plane = torch.cat((plane, plane.new_zeros(1, 6))).T.contiguous()
     return PlaneLevel(level, plane, eigenvalues, eigenvalues.new_tensor(-1.0))
 
 

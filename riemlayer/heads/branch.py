@@ -17,6 +17,8 @@ from riemlayer.octree import Level, interpolate_or_zero
 
 TRAINED = 1.06
 """Longest vectors of the training data, in radii."""
+LIKELY = 2.0
+"""Logit of the validity until it is trained: most queries within the radius are valid."""
 STEEPNESS = 50.0
 """Fall of the validity's logit a radius beyond that."""
 
@@ -81,6 +83,9 @@ class MapHead(nn.Module):
     Validity does not disturb the maps: it sees the hidden features without a gradient.
     """
 
+    gate: Gate | None
+    """Of an anchored head."""
+
     def __init__(self, embedding: int, told: int, radius: float, config: HeadConfig) -> None:
         super().__init__()
         self.config, self.radius = config, radius
@@ -90,6 +95,8 @@ class MapHead(nn.Module):
             self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
             self.decoder = TriplaneDecoder(3 + told, config)
         self.valid = nn.Linear(config.hidden, 1)
+        nn.init.zeros_(self.valid.weight)
+        nn.init.constant_(self.valid.bias, LIKELY)
 
     def forward(self, field: Embedding, p: Tensor, x: Tensor, shape: Tensor) -> MapOutput:
         """Answer to K queries (S, K, 3), v for Exp and q for Log, at each of the sources (S, 3)."""
@@ -113,7 +120,8 @@ class MapHead(nn.Module):
         """prior + trust |x| (f(x) - f(0)), or f(x) where not anchored, and validity."""
         vector, logit = self.decode(z, x, told, z[:, :0] if site is None else site)
         if prior is not None and trust is not None:
-            vector = prior + trust * safe_norm(x) * (vector - vector[:, :1])
+            length = safe_norm(x) * (x != 0).any(-1, keepdim=True)  # 0 at 0, to the bit
+            vector = prior + trust * length * (vector - vector[:, :1])
         return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
