@@ -64,11 +64,11 @@ class LookUps:
         return cls(*(torch.cat([getattr(x, f.name) for x in parts]) for f in fields(cls)))
 
 
-class Watched(nn.Module):
+class Watched(Gate):
     """A gate, and the priors it was shown."""
 
     def __init__(self, gate: Gate) -> None:
-        super().__init__()
+        nn.Module.__init__(self)
         self.gate, self.priors = gate, torch.empty(0)
 
     def forward(
@@ -110,7 +110,7 @@ def write_look_ups(path: Path, found: dict[str, LookUps]) -> None:
     """One safetensors file with the tensors of both heads, `exp/z` and so on."""
     path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {
-        f"{name}/{f.name}": getattr(told, f.name).clone()  # the heads share some
+        f"{name}/{f.name}": getattr(told, f.name).contiguous().clone()  # the heads share some
         for name, told in found.items()
         for f in fields(LookUps)
     }
