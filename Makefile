@@ -1,6 +1,7 @@
 # Every target sets up .venv by itself, once, and again when a dependency changes.
 PYTHON ?= python3
 SHAPES ?= 1000
+WORKERS ?= 2
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
@@ -15,8 +16,8 @@ setup: $(STAMP)  ## create .venv with the exact versions of constraints.txt
 demo: $(STAMP)  ## encode a cloud, draw Exp and Log, print an error table; SHAPE=path for your own
 	$(BIN)/python examples/quickstart.py $(if $(SHAPE),"$(SHAPE)")
 
-test: $(STAMP)  ## run all tests; ARGS='-m "not slow"' passes options to pytest
-	$(BIN)/python -m pytest -q $(ARGS)
+test: $(STAMP)  ## run all tests, on WORKERS=2 cores; ARGS='-m "not slow"' passes options to pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
 
 lint: $(STAMP)  ## formatting and lint
 	$(BIN)/ruff format --check .

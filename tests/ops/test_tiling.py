@@ -24,10 +24,11 @@ def full_precision(monkeypatch):
 
 
 def ask(surface, p: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-    """Exp of fans around each source, and Log of the points near it."""
+    """Exp of tangent fans around each source, and Log of the points near it."""
     generator = torch.Generator().manual_seed(5)
     v = torch.randn(len(p), 12, 3, generator=generator).to(p.dtype)
-    v = radius * torch.rand(len(p), 12, 1, generator=generator).to(p.dtype) * normalize(v, dim=-1)
+    v = normalize(surface.project(p[:, None], v), dim=-1)
+    v = radius * torch.rand(len(p), 12, 1, generator=generator).to(p.dtype) * v
     near = (surface.points[None] - p[:, None]).norm(dim=-1).argsort(dim=-1)[:, :60:6]
     with torch.no_grad():
         return surface.exp(p[:, None], v), surface.log(p[:, None], surface.points[near])
