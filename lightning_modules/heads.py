@@ -26,6 +26,7 @@ class ExpLogHeadFitting(ExpLogPretraining):
         start_from: packaged name or folder of the weights that the look-ups were made with.
         losses: weights of Eq. (1); `rec`, `pairs`, `prior`, `validity` and `relative` count.
         learning_rate, weight_decay, warmup: see `ExpLogPretraining`.
+        gates_only: decoders stay as they are, too: few weights, which learn from few shapes.
 
     Examples:
         >>> data = LookUpModule(["lookups/0.safetensors"])  # doctest: +SKIP
@@ -39,10 +40,12 @@ class ExpLogHeadFitting(ExpLogPretraining):
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-3,
         warmup: int = 100,
+        gates_only: bool = False,
     ) -> None:
         losses = losses or LossWeights(geo=0, cyc=0, pairs=0.25, prior=0.2, relative=True)
         super().__init__("base", losses, learning_rate, weight_decay, warmup, start_from)
         self.hparams["config"] = self.field.config.to_dict()  # for the export of checkpoints
+        self.gates_only = gates_only
 
     def training_step(self, batch: dict[str, LookUps], batch_idx: int) -> Tensor:
         losses: dict[str, Tensor] = {}
@@ -55,9 +58,10 @@ class ExpLogHeadFitting(ExpLogPretraining):
         return total
 
     def parameter_groups(self) -> list[dict[str, Any]]:
-        """Those of the heads."""
-        heads = (getattr(self.field, f"{name}_head") for name in MAPS)
-        return [{"params": [x for head in heads for x in head.parameters()]}]
+        """Those of the heads, or of their gates."""
+        heads = [getattr(self.field, f"{name}_head") for name in MAPS]
+        parts = [head.gate for head in heads] if self.gates_only else heads
+        return [{"params": [x for part in parts for x in part.parameters()]}]
 
 
 def head_losses(head: MapHead, told: LookUps, name: str, weights: LossWeights) -> dict[str, Tensor]:
