@@ -35,3 +35,9 @@ def folder(tmp_path_factory):
         metadata = {"name": f"sphere{i}", "source": f"spheres/{i}"}
         write_sample(folder / f"sphere{i}.safetensors", sample, metadata)
     return folder
+
+
+@pytest.fixture
+def full_precision(monkeypatch):
+    """No bfloat16 products, also on a processor that has them."""
+    monkeypatch.setattr("riemlayer.field._has_bfloat16", lambda device: False)

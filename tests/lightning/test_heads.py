@@ -28,7 +28,7 @@ def batch(folder):
     return next(iter(data.train_dataloader()))
 
 
-def test_losses_on_look_ups_are_those_of_the_field(field, batch):
+def test_losses_on_look_ups_are_those_of_the_field(field, batch, full_precision):
     """Look-ups keep what is told in half precision."""
     surface = field.encode_in_cube(batch.points, batch.batch)
     whole = explog_losses(surface, batch.truth, WEIGHTS)

@@ -163,7 +163,7 @@ def test_arguments_are_checked(field, given, named):
         ExpLogPredictor(field, **given)
 
 
-def test_samples_of_shards_are_answered_at_their_vertices(field, folder, tmp_path):
+def test_samples_of_shards_are_answered_at_their_vertices(field, folder, tmp_path, full_precision):
     """As a file of the same points; one whose bytes changed is named, and the others are there."""
     shards, clouds = tmp_path / "shards", tmp_path / "clouds"
     pack(folder, shards, size=2)
