@@ -12,15 +12,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from itertools import cycle, islice
+from itertools import islice, repeat
 from pathlib import Path
 from typing import Self
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from lightning_modules.datamodule import Batch, ExpLogDataModule
+from riemlayer.data.sample_file import whole_or_not_at_all
 from riemlayer.field import ExpLogField
 from riemlayer.heads.branch import Gate, MapHead
 
@@ -107,14 +108,15 @@ def look_up(field: ExpLogField, batch: Batch) -> dict[str, LookUps]:
 
 
 def write_look_ups(path: Path, found: dict[str, LookUps]) -> None:
-    """One safetensors file with the tensors of both heads, `exp/z` and so on."""
+    """One safetensors file, whole or not at all: tensors of both heads, `exp/z` and so on."""
     path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {
         f"{name}/{f.name}": getattr(told, f.name).contiguous().clone()  # the heads share some
         for name, told in found.items()
         for f in fields(LookUps)
     }
-    save_file(tensors, path)
+    with whole_or_not_at_all(path) as file:
+        file.write(save(tensors))
 
 
 def read_look_ups(paths: Sequence[str | Path]) -> dict[str, LookUps]:
@@ -132,7 +134,7 @@ def collect(field: ExpLogField, data: ExpLogDataModule, samples: int) -> dict[st
     """Look-ups of that many training batches, epoch after epoch."""
     data.setup("fit")
     parts: dict[str, list[LookUps]] = {name: [] for name in MAPS}
-    epochs = (batch for loader in cycle([data.train_dataloader()]) for batch in loader)
+    epochs = (batch for loader in repeat(data.train_dataloader()) for batch in loader)
     for batch in islice(epochs, samples):
         for name, told in look_up(field, batch).items():
             parts[name].append(told)

@@ -202,3 +202,8 @@ def finite(answer: Tensor | tuple) -> bool:
     if isinstance(answer, tuple):
         return all(map(finite, answer))
     return not answer.is_floating_point() or bool(answer.isfinite().all())
+
+
+def length(x: np.ndarray) -> np.ndarray:
+    """Norms (...) of vectors (..., 3)."""
+    return np.linalg.norm(x, axis=-1)
