@@ -121,10 +121,14 @@ class LocalPlanes(NamedTuple):
         return normalise(normal.T), (distance / weight.clamp_min(1e-10))[:, None]
 
     def normal(self, p: Tensor, batch: Tensor) -> Tensor:
-        """Unit normals (Q, 3) at `p`, with the sign of the nearest node's; the z axis far away.
+        """Unit normals (Q, 3) at `p`, with the sign of the nearest node's; the z axis far away."""
+        return self.plane(p, batch)[0]
 
-        A fixed direction would not do: around a wall that it lies in, signs would be arbitrary and
-        the normals of neighbouring nodes cancel.
+    def plane(self, p: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+        """`normal` (Q, 3) at `p`, and the height (Q, 1) of `p` above the plane there.
+
+        A fixed direction would not do for the sign: around a wall that it lies in, signs would be
+        arbitrary and the normals of neighbouring nodes cancel.
         """
         towards = self.fine.nearest(p, batch)
         lost = (towards == 0).all(-1).nonzero().squeeze(-1)
@@ -133,7 +137,7 @@ class LocalPlanes(NamedTuple):
             z_axis = coarse.new_tensor([0.0, 0.0, 1.0])
             coarse = torch.where((coarse == 0).all(-1, keepdim=True), z_axis, coarse)
             towards = towards.index_copy(0, lost, coarse)
-        return self.at(p, batch, towards)[0]
+        return self.at(p, batch, towards)
 
     def drop(self, x: Tensor, batch: Tensor, rounds: int = 3) -> Tensor:
         """Points (Q, 3) moved onto the planes around them; from afar via the nearest node."""

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.config import HeadConfig
-from riemlayer.geometry import LocalPlanes, fan_of, lay_flat, log_on_fan, walk
+from riemlayer.geometry import LocalPlanes, fade_in, fan_of, lay_flat, log_on_fan, walk
 from riemlayer.heads.branch import TRAINED, Embedding, Gate, MapHead, Prepared, read_narrow, sites
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import interpolate
@@ -22,33 +22,39 @@ class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + t |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
     Walks over the cloud's planes are the priors: one over wide planes, which noise does not
-    disturb, one over planes of half the size, which see detail. By what the planes are like, a gate
-    decides between their ends, and what the correction counts, t. f sees the triplane of z(p) at v,
+    disturb, one over planes of half the size, which see detail, and the first at the height that p
+    has above its planes: p may lie on a shell around the cloud. By what the planes are like, a gate
+    decides between these ends, and what the correction counts, t. f sees the triplane of z(p) at v,
     the ends, directions and normals of the walks, the planes at p and the narrow embedding where
     the first walk landed. Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it
     is the paper's ExpNet, p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        priors = max(1, len(config.walk_steps))
-        told = 1 + 25 * priors + config.narrow if config.anchored else 0
+        walks = len(config.walk_steps)
+        told = 1 + 25 * max(1, walks) + config.narrow + 3 * (walks > 0) if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, priors - 1) if config.anchored else None
+        self.gate = Gate(told, walks) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         if self.gate is None:
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
-        normal = field.planes.normal(p, shape)
+        normal, height = field.planes.plane(p, shape)
         site, length = sites(field, p, normal, shape), safe_norm(v)
-        told, ends = [length / self.radius], []
+        told, ends, normals = [length / self.radius], [], []
         for moved, turned, there in self.walks(field, p, v, shape, normal):
             away = moved - (ends[0] if ends else v)
             bend = safe_norm(away) / (length + 0.01 * self.radius)
-            told += [away / self.radius, bend, turned / self.radius, there]
+            told += [away / self.radius, bend, turned / self.radius, outer6(there)]
             ends.append(moved)
+            normals.append(there)
         told.append(read_narrow(field, p[:, None] + ends[0], shape))
+        if self.config.walk_steps:
+            lift = fade_in(length.square(), field.planes) * height[:, None] * normals[0]
+            told.append(lift / self.radius)
+            ends.append(ends[0] + lift)
         prior, trust = self.gate(ends, told, site)
         return Prepared(z, v, prior, tuple(told), site, trust)
 
@@ -58,16 +64,16 @@ class ExpHead(MapHead):
     def walks(
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, normal: Tensor
     ) -> list[tuple[Tensor, Tensor, Tensor]]:
-        """Of each prior: where it ends (S, K, 3), v carried there, and the normal (S, K, 6)."""
+        """Of each walk: where it ends, v carried there, and the normal there (S, K, 3)."""
         start, normal = (y[:, None].expand_as(v).reshape(-1, 3) for y in (p, normal))
         if not self.config.walk_steps:
-            return [(v, v, outer6(normal).unflatten(0, v.shape[:2]))]
+            return [(v, v, normal.view_as(v))]
         index = shape[:, None].expand(v.shape[:2]).flatten()
         walks = []
         for planes, steps in zip((field.planes, *field.finer), self.config.walk_steps, strict=True):
             end = walk(planes, start, v.flatten(0, 1), index, steps, normal)
-            there = outer6(end.normal).unflatten(0, v.shape[:2])
-            walks.append(((end.point - start).view_as(v), end.vector.view_as(v), there))
+            moved = end.point - start
+            walks.append(tuple(y.view_as(v) for y in (moved, end.vector, end.normal)))
         return walks
 
 

@@ -80,6 +80,28 @@ def test_a_correction_that_is_not_trusted_leaves_the_prior(which):
         torch.testing.assert_close(head.answer(*found).vector, found.prior)
 
 
+@pytest.mark.parametrize("height", [-0.02, 0.02])
+def test_the_last_prior_of_exp_keeps_the_height_of_the_source(height):
+    """p beside a lumpy sphere: ends come back to the planes, or stay as far off as p is."""
+    field = field_with(HEADS["walked twice"])
+    points, shape = lumpy(3000), torch.zeros(20, dtype=torch.long)
+    p = points[:20] * (1 + height / points[:20].norm(dim=-1, keepdim=True))
+    flat = torch.randn(20, 30, 3).double()
+    outwards = torch.nn.functional.normalize(p, dim=-1)[:, None]
+    v = 0.3 * torch.nn.functional.normalize(flat - (flat * outwards).sum(-1, True) * outwards, dim=-1)
+    seen = []
+    gate = field.exp_head.gate
+    gate.register_forward_hook(lambda _, given, __: seen.append(given[0]))
+    with torch.no_grad():
+        embedding = field.embed(points, torch.zeros(3000, dtype=torch.long))
+        field.exp_head.prepare(embedding, p, v, shape)
+        ends = [(p[:, None] + x[:, 1:]).flatten(0, 1) for x in seen[0]]
+        away = torch.cdist(torch.stack(ends), points[None].expand(3, -1, -1)).amin(-1).mean(-1)
+        off = [embedding.planes.plane(x, shape.new_zeros(len(x)))[1].abs().median() for x in ends]
+    assert off[0] < 0.2 * abs(height) < 0.7 * abs(height) < off[2] < 1.3 * abs(height), off
+    assert away[2] > away[0]
+
+
 def test_the_straight_and_untold_configuration_is_possible():
     out = answers(field_with(HEADS["told nothing"]), "exp", torch.randn(3, 4, 3).double() * 0.1)
     assert out.vector.shape == (3, 4, 3) and out.validity.shape == (3, 4)
