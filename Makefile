@@ -17,7 +17,7 @@ demo: $(STAMP)  ## encode a cloud, draw Exp and Log, print an error table; SHAPE
 	$(BIN)/python examples/quickstart.py $(if $(SHAPE),"$(SHAPE)")
 
 test: $(STAMP)  ## run all tests, on WORKERS=2 cores; ARGS='-m "not slow"' passes options to pytest
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(STAMP)  ## formatting and lint
 	$(BIN)/ruff format --check .

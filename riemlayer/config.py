@@ -70,7 +70,7 @@ class HeadConfig:
     """Anchored residual maps, exact at the source (ours); False: the paper's plain decoder."""
     narrow: int = 32
     """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
-    walk_steps: tuple[int, ...] = (12, 24)
+    walk_steps: tuple[int, ...] = (12, 16)
     """Steps of the walked priors of Exp: over planes half as large as the leaves, a quarter as
     large, and so on; (): straight (q = p + v), as in the paper."""
     fan_rays: int = 48

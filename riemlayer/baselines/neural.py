@@ -20,28 +20,32 @@ class Neural:
     Args:
         field: the field; it is asked in evaluation mode and left in the mode it was in.
         name: what `repr` shows, such as the file its weights came from, beside their checksum.
+        views: orientations of the cloud whose answers are averaged (`riemlayer.ops.encode_views`).
     """
 
-    def __init__(self, field: ExpLogField, name: str = "field"):
-        self._field, self._name = field, name
+    def __init__(self, field: ExpLogField, name: str = "field", views: int = 1):
+        self._field, self._name, self._views = field, name, views
         self._fingerprint = fingerprint(field)
 
     @classmethod
-    def from_pretrained(cls, weights: str) -> Neural:
+    def from_pretrained(cls, weights: str, views: int = 1) -> Neural:
         """The field of a name or path that `ExpLogField.from_pretrained` knows."""
         from riemlayer import ExpLogField
 
-        return cls(ExpLogField.from_pretrained(weights), weights)
+        return cls(ExpLogField.from_pretrained(weights), weights, views)
 
     def __repr__(self) -> str:
-        return f"Neural({self._name!r}, {self._fingerprint:08x})"
+        views = f", views={self._views}" if self._views > 1 else ""
+        return f"Neural({self._name!r}, {self._fingerprint:08x}{views})"
 
     @torch.inference_mode()
     def prepare(self, points: Array) -> None:
         """Encode the cloud (N, 3)."""
+        from riemlayer.ops import encode_views
+
         training = self._field.training
         try:
-            self._surface = self._field.eval().encode(_tensor(points))
+            self._surface = encode_views(self._field.eval(), _tensor(points), self._views)
         finally:
             self._field.train(training)
 

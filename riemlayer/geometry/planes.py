@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -10,28 +10,26 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from riemlayer.geometry.moments import NEGLIGIBLE, Moments
 from riemlayer.numerics import (
     normalise,
     outer6,
     segment_sum,
     smallest_eigenvector,
     symmetric_eigenvalues,
-    weighted_rows,
 )
-from riemlayer.octree import Level, Octree, corners, nearest_node
+from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, corners, nearest_node
 from riemlayer.octree.interpolate import corner_columns
 
 PARENT_POINTS = 0.2
 """Weight, in points, of the parent's neighbourhood in a node's moments: it decides only where the
 node's own neighbourhood is too sparse for a plane."""
-NEIGHBOURHOOD = 0.85
-"""Width, in cells, of the Gaussian that weights the neighbours' moments."""
 BLEND = 0.5
 """Width, in cells, of the Gaussian that blends the planes around a query."""
-FALLBACK = 1e-3
+STAGGER = 2 / 3
+"""Shift of the second grid, in its finest cells: at the next coarser level a third of a cell."""
+FALLBACK = 2e-3
 """Weight of the coarse planes beside the fine ones; they alone count where those are missing."""
-NEGLIGIBLE = -80.0
-"""Exponents are held above this: where `exp` underflows it is 30 times slower."""
 NO_PLANE = 1e-3
 """Second eigenvalue, in squared cells, below which a neighbourhood is a point or a line."""
 
@@ -48,20 +46,9 @@ class PlaneLevel(NamedTuple):
     other_side: Tensor
     """() what a plane counts whose normal points the other way: -1, for signs have no meaning; 0
     where they have one, so that the other side of a thin sheet is not seen."""
-
-    def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
-        """Sums (5, Q) of oriented normals, signed distances of `x` (3, Q), and the weights."""
-        node, weight = corner_columns(self.level, x, batch)  # (8, Q)
-        near = self.plane.index_select(1, node.flatten()).view(6, 8, -1)
-        centroid, normal = near[:3], near[3:]  # (3, 8, Q)
-        offset = x[:, None] - centroid
-        exponent = offset.square().sum(0) * (-0.5 / (BLEND * self.level.cell_size) ** 2)
-        weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
-        agree = (normal * towards[:, None]).sum(0).detach()
-        side = torch.where(agree < 0, self.other_side, torch.ones_like(self.other_side))
-        sign, weight = weight * side, weight * side.abs()
-        distance = sign * (normal * offset).sum(0)
-        return torch.cat(((normal * sign).sum(1), torch.stack((distance, weight)).sum(1)))
+    shift: Tensor
+    """() what is added to every coordinate before its node is looked up: 0 but for a staggered
+    grid."""
 
     def facing(self, normals: Tensor, node: Tensor) -> PlaneLevel:
         """The same planes, turned to the side of most of their points' normals (N, 3) (ours)."""
@@ -74,7 +61,7 @@ class PlaneLevel(NamedTuple):
 
     def nearest_of_eight(self, x: Tensor, batch: Tensor) -> Tensor:
         """Nearest (Q,) of the eight nodes around `x` (Q, 3); n where there is none."""
-        node, weight = corners(self.level, x, batch)
+        node, weight = corners(self.level, x + self.shift, batch)
         return node.gather(-1, weight.argmax(-1, keepdim=True)).squeeze(-1)
 
     def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
@@ -98,10 +85,15 @@ class PlaneLevel(NamedTuple):
 
 
 class LocalPlanes(NamedTuple):
-    """Planes at two adjacent levels: fine ones, and coarse ones where fine nodes are missing."""
+    """Planes at two adjacent levels: fine ones, and coarse ones where fine nodes are missing.
+
+    The fine ones come twice, on two grids of which one is shifted against the other (ours): what
+    is blended of both depends less on where the cells happen to lie.
+    """
 
     fine: PlaneLevel
     coarse: PlaneLevel
+    staggered: PlaneLevel
 
     def at(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
         """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
@@ -111,11 +103,11 @@ class LocalPlanes(NamedTuple):
         every node the normal is `towards` and the distance 0.
         """
         x, towards = x.T, towards.T
-        sums = self.fine.blend(x, batch, towards)
+        sums = blend((self.fine, self.staggered), x, batch, towards)
         thin = (sums[4] < 30 * FALLBACK).nonzero().squeeze(-1)
         if len(thin):
             parts = (y.index_select(-1, thin) for y in (x, batch, towards))
-            sums = sums.index_add(1, thin, self.coarse.blend(*parts), alpha=FALLBACK)
+            sums = sums.index_add(1, thin, blend((self.coarse,), *parts), alpha=FALLBACK)
         normal, distance, weight = sums[:3], sums[3], sums[4]
         normal = torch.where(weight > 1e-10, normal, towards)
         return normalise(normal.T), (distance / weight.clamp_min(1e-10))[:, None]
@@ -141,7 +133,7 @@ class LocalPlanes(NamedTuple):
 
     def drop(self, x: Tensor, batch: Tensor, rounds: int = 3) -> Tensor:
         """Points (Q, 3) moved onto the planes around them; from afar via the nearest node."""
-        near = torch.stack([level.nearest(x, batch) for level in self])
+        near = torch.stack([level.nearest(x, batch) for level in (self.fine, self.coarse)])
         lost = (near == 0).all(-1).all(0).nonzero().squeeze(-1)
         if len(lost):
             node = nearest_node(self.fine.level, x.detach()[lost], batch[lost])
@@ -168,45 +160,25 @@ class LocalPlanes(NamedTuple):
         return torch.cat((outer6(normal), ratios, offset), -1)
 
 
-class Moments(NamedTuple):
-    """Points of each of n groups: how many, where, and how they scatter.
+def blend(levels: Sequence[PlaneLevel], x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
+    """Sums (5, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
 
-    Second moments are taken about a point nearby: about the origin they would lose four digits.
+    Over the eight nodes around `x` on each of several grids of one cell size.
     """
-
-    mass: Tensor
-    """(n, 1)"""
-    centroid: Tensor
-    """(n, 3)"""
-    scatter: Tensor
-    """(n, 6) sum of the outer products of the offsets from the centroid."""
-
-    def merged(self, group: Tensor, size: int) -> Moments:
-        """Moments of `size` larger groups, given the one (n,) that each group belongs to."""
-        mass = segment_sum(self.mass, group, size)
-        centroid = segment_sum(self.mass * self.centroid, group, size) / mass
-        offset = self.centroid - centroid[group]
-        scatter = segment_sum(self.scatter + self.mass * outer6(offset), group, size)
-        return Moments(mass, centroid, scatter)
-
-    def around(self, level: Level) -> Moments:
-        """Sums over 27 neighbours, weighted by the distance between centroids."""
-        index = level.neighbours.flatten()
-        own = torch.cat((self.mass, self.centroid), -1)
-        near = torch.cat((own, own.new_zeros(1, 4))).T.index_select(1, index).view(4, -1, 27)
-        offset = near[1:] - self.centroid.T[..., None]  # (3, n, 27)
-        exponent = offset.square().sum(0) * (-0.5 / (NEIGHBOURHOOD * level.cell_size) ** 2)
-        weight = exponent.clamp_min(NEGLIGIBLE).exp()
-        scatter = torch.cat((self.scatter, self.scatter.new_zeros(1, 6)))
-        scatter = weighted_rows(scatter, level.neighbours, weight)
-        weight = near[0] * weight
-        mass = weight.sum(-1, keepdim=True)
-        mean = (weight * offset).sum(-1).T / mass
-        x, y, z = offset - mean.T[..., None]
-        xw, yw, zw = weight * x, weight * y, weight * z
-        pairs = (xw * x, yw * y, zw * z, xw * y, xw * z, yw * z)
-        scatter = scatter + torch.stack([pair.sum(-1) for pair in pairs], -1)
-        return Moments(mass, self.centroid + mean, scatter)
+    around = [corner_columns(on.level, x + on.shift, batch) for on in levels]  # (8, Q) each
+    nodes, weights = zip(*around, strict=True)
+    near = [on.plane.index_select(1, n.flatten()) for on, n in zip(levels, nodes, strict=True)]
+    near, weight = torch.cat([y.view(6, 8, -1) for y in near], 1), torch.cat(weights)
+    centroid, normal = near[:3], near[3:]  # (3, 8 grids, Q)
+    offset = x[:, None] - centroid
+    exponent = offset.square().sum(0) * (-0.5 / (BLEND * levels[0].level.cell_size) ** 2)
+    weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
+    agree = (normal * towards[:, None]).sum(0).detach()
+    other_side = levels[0].other_side
+    side = torch.where(agree < 0, other_side, torch.ones_like(other_side))
+    sign, weight = weight * side, weight * side.abs()
+    distance = sign * (normal * offset).sum(0)
+    return torch.cat(((normal * sign).sum(1), torch.stack((distance, weight)).sum(1)))
 
 
 def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
@@ -228,6 +200,22 @@ def planes_at_scales(
         scales: how many, each of half the cell size of the one before.
         normals: (N, 3) oriented unit normals of the points: they give the planes' normals a sign.
     """
+    cell = octree.level(octree.depth).cell_size
+    shift, edge = STAGGER * cell, HALF_WIDTH - 0.1 * cell
+    coarsest = octree.levels[0]
+    moved = (points.detach() + shift).clamp_max(edge)
+    shape = coarsest.batch()[octree.node(coarsest.depth)]
+    other = build_octree(moved, shape, octree.depth, octree.depth - scales)
+    every = _plane_levels(points, octree, scales, 0.0, normals)
+    staggered = _plane_levels(points, other, scales - 1, shift, normals)
+    pairs = zip(every, every[1:], staggered, strict=False)
+    return tuple(LocalPlanes(*planes) for planes in reversed([*pairs]))
+
+
+def _plane_levels(
+    points: Tensor, octree: Octree, scales: int, shift: float, normals: Tensor | None
+) -> list[PlaneLevel]:
+    """Planes of the finest `scales` + 1 levels, the finest first."""
     levels = [octree.level(octree.depth - i) for i in range(scales + 2)]
     single = Moments(torch.ones_like(points[:, :1]), points, points.new_zeros(len(points), 6))
     moments = [single.merged(octree.leaf, len(levels[0]))]
@@ -235,13 +223,18 @@ def planes_at_scales(
         assert fine.parent is not None  # the octree goes below these levels
         moments.append(moments[-1].merged(fine.parent, len(coarse)))
     around = [m.around(level) for m, level in zip(moments, levels, strict=True)]
-    planes = [_plane_level(levels[i], moments[i], *around[i : i + 2]) for i in range(scales + 1)]
+    planes = [
+        _plane_level(levels[i], moments[i], around[i], around[i + 1], shift)
+        for i in range(scales + 1)
+    ]
     if normals is not None:
         planes = [x.facing(normals, octree.node(x.level.depth)) for x in planes]
-    return tuple(LocalPlanes(fine, coarse) for fine, coarse in reversed([*pairwise(planes)]))
+    return planes
 
 
-def _plane_level(level: Level, moments: Moments, around: Moments, wide: Moments) -> PlaneLevel:
+def _plane_level(
+    level: Level, moments: Moments, around: Moments, wide: Moments, shift: float
+) -> PlaneLevel:
     """Planes of a level: its moments, those of its neighbourhoods and of its parents'."""
     assert level.parent is not None
     share = PARENT_POINTS / (around.mass + PARENT_POINTS)
@@ -253,7 +246,7 @@ def _plane_level(level: Level, moments: Moments, around: Moments, wide: Moments)
     normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
     plane = torch.cat((moments.centroid, normal), -1)
     plane = torch.cat((plane, plane.new_zeros(1, 6))).T.contiguous()
-    return PlaneLevel(level, plane, eigenvalues, eigenvalues.new_tensor(-1.0))
+    return PlaneLevel(level, plane, eigenvalues, *eigenvalues.new_tensor([-1.0, shift]))
 
 
 def _settled(covariance: Tensor, cell_size: float) -> Tensor:

@@ -22,9 +22,9 @@ class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + t |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
     Walks over the cloud's planes are the priors: one over wide planes, which noise does not
-    disturb, one over planes of half the size, which see detail, and the first at the height that p
-    has above its planes: p may lie on a shell around the cloud. By what the planes are like, a gate
-    decides between these ends, and what the correction counts, t. f sees the triplane of z(p) at v,
+    disturb, one over planes of half the size, which see detail. By what the planes are like, a gate
+    decides between their ends, whether to lift them to the height that p has above its plane, as on
+    a shell around the cloud, and what the correction counts, t. f sees the triplane of z(p) at v,
     the ends, directions and normals of the walks, the planes at p and the narrow embedding where
     the first walk landed. Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it
     is the paper's ExpNet, p + f(v).
@@ -34,7 +34,7 @@ class ExpHead(MapHead):
         walks = len(config.walk_steps)
         told = 1 + 25 * max(1, walks) + config.narrow + 3 * (walks > 0) if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, walks) if config.anchored else None
+        self.gate = Gate(told, walks, lifts=walks > 0) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -52,9 +52,10 @@ class ExpHead(MapHead):
             normals.append(there)
         told.append(read_narrow(field, p[:, None] + ends[0], shape))
         if self.config.walk_steps:
-            lift = fade_in(length.square(), field.planes) * height[:, None] * normals[0]
+            square = v.square().sum(-1, keepdim=True)
+            lift = fade_in(square, field.planes) * height[:, None] * normals[0]
             told.append(lift / self.radius)
-            ends.append(ends[0] + lift)
+            ends.append(lift)
         prior, trust = self.gate(ends, told, site)
         return Prepared(z, v, prior, tuple(told), site, trust)
 

@@ -12,6 +12,7 @@ from riemlayer.ops.means import (
 )
 from riemlayer.ops.stitching import Charts, Stitched, stitch_log
 from riemlayer.ops.tiling import TiledSurface, encode_tiled
+from riemlayer.ops.views import ViewedSurface, encode_views
 
 __all__ = [
     "Charts",
@@ -21,8 +22,10 @@ __all__ = [
     "Principal",
     "Stitched",
     "TiledSurface",
+    "ViewedSurface",
     "decal",
     "encode_tiled",
+    "encode_views",
     "farthest_points",
     "frechet_mean",
     "kmeans",

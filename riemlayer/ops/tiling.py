@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple, overload
 
@@ -11,9 +11,9 @@ from torch import Tensor
 
 from riemlayer import checks
 from riemlayer.calculus import Calculus
-from riemlayer.geometry.planes import LocalPlanes, PlaneLevel
 from riemlayer.heads import Embedding
-from riemlayer.octree import HALF_WIDTH, Octree, build_octree
+from riemlayer.octree import HALF_WIDTH
+from riemlayer.ops.packing import packed
 from riemlayer.surface import CHUNK, EncodedSurface, MapInfo
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def _embed(field: ExpLogField, points: Tensor, centre: Tensor, lattice: Lattice)
             batch = torch.arange(len(held), device=points.device).repeat_interleave(counts)
             parts.append((field.embed(torch.cat(held), batch), first))
             first, held, size = t + 1, [], 0
-    return _packed(parts)
+    return packed(parts)
 
 
 def _views(points: Tensor, centre: Tensor, lattice: Lattice) -> Iterator[Tensor]:
@@ -261,39 +261,3 @@ def _views(points: Tensor, centre: Tensor, lattice: Lattice) -> Iterator[Tensor]
         x = points[torch.cat([order[start[i] : end[i]] for i in near])]
         x = (x - c) / lattice.scale
         yield x[(x.abs() <= REACH).all(-1)]
-
-
-def _packed(parts: list[tuple[Embedding, int]]) -> Embedding:
-    """One batch of several, each with the number of its first cloud."""
-    embeddings = [embedding for embedding, _ in parts]
-    finest = [(x.planes, *x.finer)[-1].fine.level for x in embeddings]
-    octree = build_octree(
-        torch.cat([level.centres() for level in finest]),
-        torch.cat([level.batch() + i for level, (_, i) in zip(finest, parts, strict=True)]),
-        finest[0].depth,
-        coarsest=embeddings[0].level.depth,
-    )
-    narrow = [x.narrow for x in embeddings if x.narrow is not None]
-    scales = zip(*((x.planes, *x.finer) for x in embeddings), strict=True)
-    planes, *finer = (
-        LocalPlanes(*(_joined(levels, octree) for levels in zip(*scale, strict=True)))
-        for scale in scales
-    )
-    return embeddings[0]._replace(
-        z=torch.cat([x.z for x in embeddings]),
-        narrow=torch.cat(narrow) if narrow else None,
-        level=octree.level(embeddings[0].level.depth),
-        planes=planes,
-        finer=tuple(finer),
-    )
-
-
-def _joined(levels: Sequence[PlaneLevel], octree: Octree) -> PlaneLevel:
-    """Planes of several batches at one level; the last row of each stands for "no node"."""
-    rows = [x.plane[:, :-1] for x in levels] + [levels[-1].plane[:, -1:]]
-    return PlaneLevel(
-        octree.level(levels[0].level.depth),
-        torch.cat(rows, 1),
-        torch.cat([x.eigenvalues for x in levels]),
-        levels[0].other_side,
-    )

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from riemlayer.tables import paper
 from riemlayer.tables.run import Results
-from riemlayer.tables.systems import NOTES, ORACLES, TITLES
+from riemlayer.tables.systems import NOTES, TITLES, UNRANKED
 
 COLUMNS = (
     ("mdd", "E_MDD", 3),
@@ -46,7 +46,7 @@ def number(value: float | None, digits: int) -> str:
 
 def ranked(rows: Mapping[str, Row], key: str) -> set[str]:
     """Names of the rows with the smallest value of a column, oracles left out."""
-    values = {name: row[key] for name, row in rows.items() if name not in ORACLES and key in row}
+    values = {name: row[key] for name, row in rows.items() if name not in UNRANKED and key in row}
     return {name for name, value in values.items() if value == min(values.values())}
 
 
