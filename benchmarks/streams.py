@@ -180,8 +180,7 @@ def table(report: dict[str, Any]) -> str:
     lines = [
         f"{report['samples']} samples, {report['MB']:.0f} MB; {report['machine']}; "
         + ", ".join(f"{name} {number}" for name, number in report["versions"].items())
-        + ". Reading includes a checksum of every sample; files lie in the page cache. Other "
-        "programs ran beside, so speeds are lower bounds.",
+        + ". Reading includes a checksum of every sample; files lie in the page cache.",
         "",
         "| | " + " | ".join(columns) + " |",
         "|---" * (len(columns) + 1) + "|",

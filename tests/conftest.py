@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-
 LONGEST = (
     "test_examples.py",
     "test_laws.py",

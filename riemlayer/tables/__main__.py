@@ -25,7 +25,7 @@ from riemlayer.tables.shapes import THIN, Preparation, prepare_shapes, procedura
 from riemlayer.tables.sweeps import POINTS
 from riemlayer.tables.systems import systems
 
-METHODS = "base,base-views,heat,projection,tracing,mesh-affine,mesh-heat,mesh-tracer,floor"
+METHODS = "base,heat,projection,tracing,mesh-affine,mesh-heat,mesh-tracer,floor"
 FAST_SOURCES = 2
 
 
