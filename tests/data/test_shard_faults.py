@@ -5,11 +5,13 @@ import os
 import random
 import signal
 import subprocess
+import threading
 import time
 
 import numpy as np
 import pytest
 from joblib.externals.loky import get_reusable_executor
+from tqdm import tqdm
 
 from riemlayer.data.dataset import sample_files
 from riemlayer.data.prepare import prepare_meshes, run
@@ -19,7 +21,8 @@ from riemlayer.data.shards import pack
 
 @pytest.fixture(scope="module", autouse=True)
 def no_workers_left():
-    """The worker processes end with this module."""
+    """The worker processes end with this module, and forks share no lock that dies with them."""
+    tqdm.set_lock(threading.RLock())
     yield
     get_reusable_executor().shutdown(wait=True, kill_workers=True)
 
@@ -47,7 +50,7 @@ def shape(i):
 
 
 def killed(work, after):
-    """Does `work` in a process that is killed after some seconds; whether it was still at it."""
+    """Do `work` in a process that is killed after some seconds; say whether it was still at it."""
     child = os.fork()
     if child == 0:
         try:
@@ -57,6 +60,12 @@ def killed(work, after):
     time.sleep(after)
     os.kill(child, signal.SIGKILL)
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+def kill(work, after):
+    """Do `work` until a kill interrupts it, each time sooner: how fast it is depends on the load."""
+    while not killed(work, after):
+        after /= 2
 
 
 def timed(work):
@@ -70,19 +79,18 @@ def timed(work):
 def test_twenty_kills_at_any_moment_change_nothing(tmp_path):
     get_reusable_executor().shutdown(wait=True, kill_workers=True)  # none is shared by forks
     whole, often = tmp_path / "whole", tmp_path / "often"
-    jobs, rng, struck = {f"s{i:02d}": shape(i) for i in range(48)}, random.Random(0), 0
+    jobs, rng = {f"s{i:02d}": shape(i) for i in range(48)}, random.Random(0)
     making = timed(lambda: run(jobs, whole, workers=2))
     packing = timed(lambda: pack(whole, whole / "shards", 4))
     get_reusable_executor().shutdown(wait=True, kill_workers=True)
     for i in range(6, 54, 6):  # there is always something left to do
         some = dict(list(jobs.items())[:i])
-        struck += killed(lambda some=some: run(some, often, 2), making * rng.uniform(0.1, 0.7))
+        kill(lambda some=some: run(some, often, 2), making * rng.uniform(0.1, 0.7))
     run(jobs, often, workers=2)
     for i in range(12):  # other sizes, other shards: each call writes them all
         after = packing * rng.uniform(0, 0.9)
-        struck += killed(lambda i=i: pack(often, often / "shards", 3 + i % 3), after)
+        kill(lambda i=i: pack(often, often / "shards", 3 + i % 3), after)
     pack(often, often / "shards", 4)
-    assert struck >= 15
     assert len(list((whole / "shards").glob("*.tar"))) == 11
     assert contents(often / "shards") == contents(whole / "shards")
     assert {f.name: f.read_bytes() for f in sample_files(often)} == {
@@ -119,7 +127,7 @@ def test_the_real_pipeline_killed_and_resumed_gives_the_same_shards(tmp_path):
     get_reusable_executor().shutdown(wait=True, kill_workers=True)  # none is shared by the fork
     seconds = timed(lambda: prepare_meshes([mesh], tmp_path / "whole", 1))
     get_reusable_executor().shutdown(wait=True, kill_workers=True)
-    assert killed(lambda: prepare_meshes([mesh], tmp_path / "killed", 1), seconds / 2)
+    kill(lambda: prepare_meshes([mesh], tmp_path / "killed", 1), seconds / 2)
     assert prepare_meshes([mesh], tmp_path / "killed", 1).written == 1
     for name in ("killed", "whole"):
         pack(tmp_path / name, tmp_path / name / "shards", 1)
