@@ -5,8 +5,9 @@ WORKERS ?= 2
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test lint types docs check tables train format setup clean
+.PHONY: help demo test slow lint types docs check tables train format setup clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*## ' Makefile | sed -E 's/:.*## /\t/' | expand -t 10
@@ -16,8 +17,11 @@ setup: $(STAMP)  ## create .venv with the exact versions of constraints.txt
 demo: $(STAMP)  ## encode a cloud, draw Exp and Log, print an error table; SHAPE=path for your own
 	$(BIN)/python examples/quickstart.py $(if $(SHAPE),"$(SHAPE)")
 
-test: $(STAMP)  ## run all tests, on WORKERS=2 cores; ARGS='-m "not slow"' passes options to pytest
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+test: $(STAMP)  ## run the tests but the slow ones, on WORKERS=2 cores; ARGS passes options to pytest
+	$(PYTEST) -m "not slow" $(ARGS)
+
+slow: $(STAMP)  ## run the slow tests
+	$(PYTEST) -m slow $(ARGS)
 
 lint: $(STAMP)  ## formatting and lint
 	$(BIN)/ruff format --check .
@@ -29,7 +33,7 @@ types: $(STAMP)  ## static types
 docs: $(STAMP)  ## build the documentation into site/; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-check: lint types docs test  ## everything that CI asks for, the demo apart
+check: lint types docs test slow  ## everything that CI asks for, the demo apart
 
 tables: $(STAMP)  ## the paper's tables with every rival; DIR=shapes or meshes, FAST=1 for a first look
 	$(BIN)/python -m riemlayer.tables $(if $(DIR),"$(DIR)") $(if $(FAST),--fast) -o tables

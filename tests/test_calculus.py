@@ -230,6 +230,7 @@ def test_normals_and_snapping_of_a_cloud_in_its_own_units(encoded):
         torch.testing.assert_close(encoded.normal(q, shape=index), normal)
 
 
+@pytest.mark.slow
 def test_operators_of_a_packed_batch_are_those_of_its_shapes(encoded, monkeypatch):
     monkeypatch.setattr(ExpLogField, "half_precision", lambda self: contextlib.nullcontext())
     p, q = encoded.points[::300], encoded.points[1::300]

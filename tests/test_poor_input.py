@@ -29,6 +29,7 @@ def base():
     return ExpLogField.from_pretrained("base").eval()
 
 
+@pytest.mark.slow
 def test_from_off_the_surface_nothing_is_valid(base):
     points = fibonacci_sphere(700).float()
     surface = base.encode(points).detach()
@@ -62,6 +63,7 @@ def islands(base):
     return base.encode(points).detach(), label
 
 
+@pytest.mark.slow
 def test_no_edge_across_a_gap_is_valid(islands):
     surface, label = islands
     for k, radius in ((16, None), (3, None), (16, 0.3)):
@@ -167,6 +169,7 @@ def test_clusters_of_coincident_points(surface):
     assert len(found.label[0::2].unique()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repeats", [2, 12])
 def test_edges_of_a_cloud_of_copies(base, repeats):
     """As vertices of a triangle soup: each several times."""

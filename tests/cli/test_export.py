@@ -8,6 +8,7 @@ from references import lumpy
 from riemlayer import ExpLogField, deploy
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_programs_are_the_decoder_of_the_weights(well, tiny, tmp_path):
     pytest.importorskip("onnxscript", reason="needs the extra `deploy`")

@@ -63,7 +63,7 @@ def killed(work, after):
 
 
 def kill(work, after):
-    """Do `work` until a kill interrupts it, each time sooner: how fast it is depends on the load."""
+    """Do `work` until a kill interrupts it, each time sooner: its speed depends on the load."""
     while not killed(work, after):
         after /= 2
 

@@ -76,6 +76,7 @@ def test_keep_holds_the_weights_near_the_start(folder, start):
     assert 0 < distance[10.0] < 0.7 * distance[0.0], distance
 
 
+@pytest.mark.slow
 def test_consistency_alone_brings_log_back_from_exp(tmp_path, start):
     """Self-supervised: |Log(Exp v) - v| falls on a cloud that was not trained on."""
     for i in range(1, 3):

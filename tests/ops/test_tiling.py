@@ -144,6 +144,7 @@ def test_units_and_origin_carry_through(s, t, full_precision):
     assert float(other.radius) == pytest.approx(0.5 * s)
 
 
+@pytest.mark.slow
 def test_how_many_tiles_are_encoded_at_once_does_not_matter(full_precision, monkeypatch):
     points, field = 3 * lumpy(300), shaken("base", strength=0.3)
     p, v = points[:20], 0.3 * torch.randn(20, 3).double()
