@@ -19,7 +19,7 @@ from riemlayer.numerics import (
     symmetric_eigenvalues,
 )
 from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, corners, nearest_node
-from riemlayer.octree.interpolate import corner_columns
+from riemlayer.octree.interpolate import trilinear
 
 PARENT_POINTS = 0.2
 """Weight, in points, of the parent's neighbourhood in a node's moments: it decides only where the
@@ -30,12 +30,14 @@ STAGGER = 2 / 3
 """Shift of the second grid, in its finest cells: at the next coarser level a third of a cell."""
 FALLBACK = 2e-3
 """Weight of the coarse planes beside the fine ones; they alone count where those are missing."""
+FAR = 1e3
+"""Where the plane of "no node" lies: nowhere near a query, so that its weight vanishes."""
 NO_PLANE = 1e-3
 """Second eigenvalue, in squared cells, below which a neighbourhood is a point or a line."""
 
 
 class PlaneLevel(NamedTuple):
-    """Planes of the n nodes of a level; a last row stands for "no node"."""
+    """Planes of the n nodes of a level; a last one, far away, stands for "no node"."""
 
     level: Level
     plane: Tensor
@@ -94,6 +96,13 @@ class LocalPlanes(NamedTuple):
     fine: PlaneLevel
     coarse: PlaneLevel
     staggered: PlaneLevel
+    both: Tensor
+    """(6, n + 1 + m + 1) planes of the two grids."""
+
+    @classmethod
+    def of(cls, fine: PlaneLevel, coarse: PlaneLevel, staggered: PlaneLevel) -> LocalPlanes:
+        """Those of three levels."""
+        return cls(fine, coarse, staggered, torch.cat((fine.plane, staggered.plane), 1))
 
     def at(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
         """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
@@ -103,11 +112,12 @@ class LocalPlanes(NamedTuple):
         every node the normal is `towards` and the distance 0.
         """
         x, towards = x.T, towards.T
-        sums = blend((self.fine, self.staggered), x, batch, towards)
+        sums = blend((self.fine, self.staggered), self.both, x, batch, towards)
         thin = (sums[4] < 30 * FALLBACK).nonzero().squeeze(-1)
         if len(thin):
             parts = (y.index_select(-1, thin) for y in (x, batch, towards))
-            sums = sums.index_add(1, thin, blend((self.coarse,), *parts), alpha=FALLBACK)
+            coarse = blend((self.coarse,), self.coarse.plane, *parts)
+            sums = sums.index_add(1, thin, coarse, alpha=FALLBACK)
         normal, distance, weight = sums[:3], sums[3], sums[4]
         normal = torch.where(weight > 1e-10, normal, towards)
         return normalise(normal.T), (distance / weight.clamp_min(1e-10))[:, None]
@@ -145,7 +155,10 @@ class LocalPlanes(NamedTuple):
 
     def map(self, change: Callable[[Tensor], Tensor]) -> LocalPlanes:
         """The same with `change`, such as a move to another device, applied to every tensor."""
-        return LocalPlanes(*(PlaneLevel(x.level.map(change), *map(change, x[1:])) for x in self))
+        fine, coarse, staggered = (
+            PlaneLevel(on.level.map(change), *map(change, on[1:])) for on in self[:3]
+        )
+        return LocalPlanes.of(fine, coarse, staggered)
 
     def point_features(self, points: Tensor, node: Tensor) -> Tensor:
         """What the stem is told of each point's plane: (N, 11), without units and without sign.
@@ -160,25 +173,30 @@ class LocalPlanes(NamedTuple):
         return torch.cat((outer6(normal), ratios, offset), -1)
 
 
-def blend(levels: Sequence[PlaneLevel], x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
+def blend(
+    levels: Sequence[PlaneLevel], plane: Tensor, x: Tensor, batch: Tensor, towards: Tensor
+) -> Tensor:
     """Sums (5, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
 
-    Over the eight nodes around `x` on each of several grids of one cell size.
+    Over the eight nodes around `x` on each of several grids of one cell size, whose planes, one
+    after the other, are `plane`.
     """
-    around = [corner_columns(on.level, x + on.shift, batch) for on in levels]  # (8, Q) each
-    nodes, weights = zip(*around, strict=True)
-    near = [on.plane.index_select(1, n.flatten()) for on, n in zip(levels, nodes, strict=True)]
-    near, weight = torch.cat([y.view(6, 8, -1) for y in near], 1), torch.cat(weights)
+    shifts = torch.stack([on.shift for on in levels])[:, None, None]
+    cells, weight = trilinear(levels[0].level, x + shifts)  # (grids, 3, Q), (grids, 8, Q)
+    nodes, rows = [], 0
+    for on, cell in zip(levels, cells, strict=True):
+        nodes.append(on.level.octants(cell, batch) + rows)
+        rows += len(on.level) + 1
+    near = plane.index_select(1, torch.cat(nodes).flatten()).view(6, -1, x.shape[1])
     centroid, normal = near[:3], near[3:]  # (3, 8 grids, Q)
     offset = x[:, None] - centroid
     exponent = offset.square().sum(0) * (-0.5 / (BLEND * levels[0].level.cell_size) ** 2)
-    weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
-    agree = (normal * towards[:, None]).sum(0).detach()
-    other_side = levels[0].other_side
-    side = torch.where(agree < 0, other_side, torch.ones_like(other_side))
-    sign, weight = weight * side, weight * side.abs()
+    weight = weight.flatten(0, 1) * exponent.clamp_min(NEGLIGIBLE).exp()
+    away = ((normal * towards[:, None]).sum(0).detach() < 0).to(x.dtype)
+    sign = torch.addcmul(weight, weight, away * (levels[0].other_side - 1))
     distance = sign * (normal * offset).sum(0)
-    return torch.cat(((normal * sign).sum(1), torch.stack((distance, weight)).sum(1)))
+    sums = torch.stack((distance, sign.abs())).sum(1)
+    return torch.cat(((normal * sign).sum(1), sums))
 
 
 def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
@@ -209,7 +227,7 @@ def planes_at_scales(
     every = _plane_levels(points, octree, scales, 0.0, normals)
     staggered = _plane_levels(points, other, scales - 1, shift, normals)
     pairs = zip(every, every[1:], staggered, strict=False)
-    return tuple(LocalPlanes(*planes) for planes in reversed([*pairs]))
+    return tuple(LocalPlanes.of(*planes) for planes in reversed([*pairs]))
 
 
 def _plane_levels(
@@ -245,7 +263,8 @@ def _plane_level(
     eigenvalues = symmetric_eigenvalues(covariance)
     normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
     plane = torch.cat((moments.centroid, normal), -1)
-    plane = torch.cat((plane, plane.new_zeros(1, 6))).T.contiguous()
+    nowhere = plane.new_tensor([[FAR, 0, 0, 0, 0, 0]])
+    plane = torch.cat((plane, nowhere)).T.contiguous()
     return PlaneLevel(level, plane, eigenvalues, *eigenvalues.new_tensor([-1.0, shift]))
 
 

@@ -39,14 +39,20 @@ def corners(level: Level, x: Tensor, batch: Tensor) -> Corners:
 
 def corner_columns(level: Level, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
     """`corners` of columns (3, Q), as node and weight (8, Q): sums over corners are faster so."""
+    cell, weight = trilinear(level, x)
+    node = level.octants(cell, batch)
+    return node, weight * (node < len(level))
+
+
+def trilinear(level: Level, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Lowest of the eight cells around columns (..., 3, Q), and the eight weights (..., 8, Q)."""
     last = (1 << level.depth) - 1
-    t = (x / level.cell_size + (HALF_WIDTH / level.cell_size - 0.5)).clamp(0, last)  # (3, Q)
+    t = (x / level.cell_size + (HALF_WIDTH / level.cell_size - 0.5)).clamp(0, last)
     cell = t.detach().int().clamp_max(max(last - 1, 0))
     fraction = t - cell
-    node = level.octants(cell, batch)
-    wx, wy, wz = torch.stack((1 - fraction, fraction)).unbind(1)  # (2, Q)
-    weight = (wx[:, None] * wy)[:, :, None] * wz  # (2, 2, 2, Q)
-    return node, weight.flatten(0, 2) * (node < len(level))
+    wx, wy, wz = torch.stack((1 - fraction, fraction), -3).unbind(-2)  # (..., 2, Q)
+    weight = (wx[..., None, :] * wy[..., None, :, :])[..., None, :] * wz[..., None, None, :, :]
+    return cell, weight.flatten(-4, -2)
 
 
 def nearest_node(level: Level, x: Tensor, batch: Tensor, chunk: int | None = None) -> Tensor:

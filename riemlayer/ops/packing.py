@@ -20,7 +20,7 @@ def packed(parts: list[tuple[Embedding, int]]) -> Embedding:
     other = _octree([x.staggered.level for x in scales[-1]], first, coarsest)
     narrow = [x.narrow for x in embeddings if x.narrow is not None]
     planes, *finer = (
-        LocalPlanes(
+        LocalPlanes.of(
             _joined([x.fine for x in scale], octree),
             _joined([x.coarse for x in scale], octree),
             _joined([x.staggered for x in scale], other),
