@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--fast", action="store_true", help="few puppets, few steps")
     fast = parser.parse_args().fast
     torch.manual_seed(0)
-    known, new, count, steps, more = (10, 5, 400, 120, 3) if fast else (80, 24, 800, 400, 30)
+    known, new, count, steps, more = (10, 5, 400, 120, 3) if fast else (80, 24, 800, 160, 80)
     print(f"learned from {known} puppets; share of the points of {new} others that is right:")
     field, network = ExpLogField.from_pretrained("base").requires_grad_(False), Segmenter()
     bodies = [[*map(torch.from_numpy, puppet(seed, count))] for seed in range(known + new)]
@@ -126,8 +126,8 @@ def main() -> None:
     guess = report("each point alone", fit(alone, clouds, steps, 5e-3), held)
     report("network before training", network, held)
     report(f"{steps} steps, field frozen", fit(network, clouds, steps, 1e-2), held)
-    report(f"{more} more, field still frozen", fit(deepcopy(network), clouds, more, 5e-4), held)
-    fit(network, clouds, more, 5e-4, field.requires_grad_(True))
+    report(f"{more} more, field still frozen", fit(deepcopy(network), clouds, more, 2e-3), held)
+    fit(network, clouds, more, 2e-3, field.requires_grad_(True))
     norm = float(nn.utils.clip_grad_norm_(field.backbone.parameters(), math.inf))
     assert 0 < norm < math.inf, "the loss does not reach the backbone"
     held = [encode(field.requires_grad_(False), points, part) for points, part in bodies[known:]]

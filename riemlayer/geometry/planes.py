@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
-from riemlayer.geometry.moments import NEGLIGIBLE, Moments
-from riemlayer.numerics import (
-    normalise,
-    outer6,
-    segment_sum,
-    smallest_eigenvector,
-    symmetric_eigenvalues,
-)
-from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, corners, nearest_node
-from riemlayer.octree.interpolate import trilinear
+from riemlayer.geometry.grids import Grids, PlaneLevel
+from riemlayer.geometry.moments import Moments
+from riemlayer.numerics import normalise, outer6, smallest_eigenvector, symmetric_eigenvalues
+from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, nearest_node
 
 PARENT_POINTS = 0.2
 """Weight, in points, of the parent's neighbourhood in a node's moments: it decides only where the
 node's own neighbourhood is too sparse for a plane."""
-BLEND = 0.5
-"""Width, in cells, of the Gaussian that blends the planes around a query."""
 STAGGER = 2 / 3
 """Shift of the second grid, in its finest cells: at the next coarser level a third of a cell."""
 FALLBACK = 2e-3
@@ -34,56 +25,6 @@ FAR = 1e3
 """Where the plane of "no node" lies: nowhere near a query, so that its weight vanishes."""
 NO_PLANE = 1e-3
 """Second eigenvalue, in squared cells, below which a neighbourhood is a point or a line."""
-
-
-class PlaneLevel(NamedTuple):
-    """Planes of the n nodes of a level; a last one, far away, stands for "no node"."""
-
-    level: Level
-    plane: Tensor
-    """(6, n + 1): centroid, and unit normal; its sign has a meaning where the points' normals were
-    given."""
-    eigenvalues: Tensor
-    """(n, 3) of the local covariance, ascending."""
-    other_side: Tensor
-    """() what a plane counts whose normal points the other way: -1, for signs have no meaning; 0
-    where they have one, so that the other side of a thin sheet is not seen."""
-    shift: Tensor
-    """() what is added to every coordinate before its node is looked up: 0 but for a staggered
-    grid."""
-
-    def facing(self, normals: Tensor, node: Tensor) -> PlaneLevel:
-        """The same planes, turned to the side of most of their points' normals (N, 3) (ours)."""
-        mean = segment_sum(normals, node, len(self.level))
-        centroid, normal = self.plane.split(3)
-        agree = (normal[:, :-1].T * mean).sum(-1)
-        sign = F.pad(torch.where(agree < 0, -1.0, 1.0).to(normal.dtype), (0, 1))
-        plane = torch.cat((centroid, normal * sign))
-        return self._replace(plane=plane, other_side=torch.zeros_like(self.other_side))
-
-    def nearest_of_eight(self, x: Tensor, batch: Tensor) -> Tensor:
-        """Nearest (Q,) of the eight nodes around `x` (Q, 3); n where there is none."""
-        node, weight = corners(self.level, x + self.shift, batch)
-        return node.gather(-1, weight.argmax(-1, keepdim=True)).squeeze(-1)
-
-    def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
-        """Normal (Q, 3) of the nearest of the eight nodes around `x`; 0 where there is none."""
-        return self.plane[3:, self.nearest_of_eight(x, batch)].T
-
-    def spectra(self, x: Tensor, batch: Tensor) -> Tensor:
-        """Spread (Q, 6) of the cloud around `x` along its principal axes, in cells; no gradient.
-
-        Roots of the eigenvalues at the nearest node, and their mean over that node's neighbours:
-        how thick, thin or sparse the cloud is at this scale. 0 where there is no node.
-        """
-        n, node = len(self.level), self.nearest_of_eight(x, batch)
-        around = self.level.neighbours[node.clamp_max(n - 1)]  # (Q, 27)
-        index = torch.cat((node[:, None], around), -1)
-        exists = ((index < n) & (node < n)[:, None])[..., None]
-        variance = self.eigenvalues.detach()[index.clamp_max(n - 1)].clamp_min(0)
-        spread = variance.sqrt() * exists / self.level.cell_size  # (Q, 28, 3)
-        mean = spread[:, 1:].sum(1) / exists[:, 1:].sum(1).clamp_min(1)
-        return torch.cat((spread[:, 0], mean), -1)
 
 
 class LocalPlanes(NamedTuple):
@@ -96,13 +37,13 @@ class LocalPlanes(NamedTuple):
     fine: PlaneLevel
     coarse: PlaneLevel
     staggered: PlaneLevel
-    both: Tensor
-    """(6, n + 1 + m + 1) planes of the two grids."""
+    grids: Grids
+    """The three of them: fine, staggered, coarse."""
 
     @classmethod
     def of(cls, fine: PlaneLevel, coarse: PlaneLevel, staggered: PlaneLevel) -> LocalPlanes:
         """Those of three levels."""
-        return cls(fine, coarse, staggered, torch.cat((fine.plane, staggered.plane), 1))
+        return cls(fine, coarse, staggered, Grids.of((fine, staggered, coarse)))
 
     def at(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
         """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
@@ -112,12 +53,10 @@ class LocalPlanes(NamedTuple):
         every node the normal is `towards` and the distance 0.
         """
         x, towards = x.T, towards.T
-        sums = blend((self.fine, self.staggered), self.both, x, batch, towards)
-        thin = (sums[4] < 30 * FALLBACK).nonzero().squeeze(-1)
-        if len(thin):
-            parts = (y.index_select(-1, thin) for y in (x, batch, towards))
-            coarse = blend((self.coarse,), self.coarse.plane, *parts)
-            sums = sums.index_add(1, thin, coarse, alpha=FALLBACK)
+        *fine, coarse = self.grids.blend(x, batch, towards).unbind(1)
+        sums = fine[0] + fine[1]
+        thin = (sums[4].detach() < 30 * FALLBACK).to(x.dtype)
+        sums = torch.addcmul(sums, coarse, thin, value=FALLBACK)
         normal, distance, weight = sums[:3], sums[3], sums[4]
         normal = torch.where(weight > 1e-10, normal, towards)
         return normalise(normal.T), (distance / weight.clamp_min(1e-10))[:, None]
@@ -171,32 +110,6 @@ class LocalPlanes(NamedTuple):
         centroid, normal = plane.plane.T[node].split(3, -1)
         offset = (points - centroid) / plane.level.cell_size
         return torch.cat((outer6(normal), ratios, offset), -1)
-
-
-def blend(
-    levels: Sequence[PlaneLevel], plane: Tensor, x: Tensor, batch: Tensor, towards: Tensor
-) -> Tensor:
-    """Sums (5, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
-
-    Over the eight nodes around `x` on each of several grids of one cell size, whose planes, one
-    after the other, are `plane`.
-    """
-    shifts = torch.stack([on.shift for on in levels])[:, None, None]
-    cells, weight = trilinear(levels[0].level, x + shifts)  # (grids, 3, Q), (grids, 8, Q)
-    nodes, rows = [], 0
-    for on, cell in zip(levels, cells, strict=True):
-        nodes.append(on.level.octants(cell, batch) + rows)
-        rows += len(on.level) + 1
-    near = plane.index_select(1, torch.cat(nodes).flatten()).view(6, -1, x.shape[1])
-    centroid, normal = near[:3], near[3:]  # (3, 8 grids, Q)
-    offset = x[:, None] - centroid
-    exponent = offset.square().sum(0) * (-0.5 / (BLEND * levels[0].level.cell_size) ** 2)
-    weight = weight.flatten(0, 1) * exponent.clamp_min(NEGLIGIBLE).exp()
-    away = ((normal * towards[:, None]).sum(0).detach() < 0).to(x.dtype)
-    sign = torch.addcmul(weight, weight, away * (levels[0].other_side - 1))
-    distance = sign * (normal * offset).sum(0)
-    sums = torch.stack((distance, sign.abs())).sum(1)
-    return torch.cat(((normal * sign).sum(1), sums))
 
 
 def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:

@@ -39,16 +39,15 @@ def corners(level: Level, x: Tensor, batch: Tensor) -> Corners:
 
 def corner_columns(level: Level, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
     """`corners` of columns (3, Q), as node and weight (8, Q): sums over corners are faster so."""
-    cell, weight = trilinear(level, x)
+    t = x / level.cell_size + (HALF_WIDTH / level.cell_size - 0.5)
+    cell, weight = trilinear(t.clamp(0, (1 << level.depth) - 1))
     node = level.octants(cell, batch)
     return node, weight * (node < len(level))
 
 
-def trilinear(level: Level, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Lowest of the eight cells around columns (..., 3, Q), and the eight weights (..., 8, Q)."""
-    last = (1 << level.depth) - 1
-    t = (x / level.cell_size + (HALF_WIDTH / level.cell_size - 0.5)).clamp(0, last)
-    cell = t.detach().int().clamp_max(max(last - 1, 0))
+def trilinear(t: Tensor) -> tuple[Tensor, Tensor]:
+    """Lowest of eight cells around columns (..., 3, Q), in cells, and the weights (..., 8, Q)."""
+    cell = t.detach().int()
     fraction = t - cell
     wx, wy, wz = torch.stack((1 - fraction, fraction), -3).unbind(-2)  # (..., 2, Q)
     weight = (wx[..., None, :] * wy[..., None, :, :])[..., None, :] * wz[..., None, None, :, :]

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from riemlayer.geometry.planes import LocalPlanes, PlaneLevel
+from riemlayer.geometry import LocalPlanes
+from riemlayer.geometry.grids import PlaneLevel
 from riemlayer.heads import Embedding
 from riemlayer.octree import Level, Octree, build_octree
 

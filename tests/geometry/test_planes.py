@@ -6,8 +6,8 @@ from references import fibonacci_sphere, lumpy
 from torch import Tensor
 
 from riemlayer.geometry import LocalPlanes, local_planes, planes_at_scales
-from riemlayer.geometry.planes import blend
-from riemlayer.octree import build_octree
+from riemlayer.geometry.grids import BLEND
+from riemlayer.octree import build_octree, corners
 
 UP = torch.tensor([0.0, 0, 1], dtype=torch.float64)
 
@@ -193,11 +193,29 @@ def test_two_grids_depend_less_on_where_their_cells_lie():
         planes = planes_of(points + t / 16, 5)
         both = at(planes, x + t / 16, x)
         moved, shape = (x + t / 16).T, torch.zeros(500).long()
-        fine = blend((planes.fine,), planes.fine.plane, moved, shape, x.T)
+        fine = planes.grids.blend(moved, shape, x.T)[:, 0]
         two.append(both[1].squeeze(-1))
         one.append(fine[3] / fine[4])
     spread = [float(torch.stack(gaps).std(0).mean()) for gaps in (one, two)]
     assert spread[1] < 0.8 * spread[0], spread
+
+
+def test_a_blend_is_the_sum_over_the_eight_nodes_of_each_grid():
+    points = lumpy(800)
+    planes, shape = planes_of(points, 5), torch.zeros(200, dtype=torch.long)
+    x = 1.02 * points[:200]
+    towards = torch.nn.functional.normalize(torch.randn_like(x), dim=-1)
+    found = planes.grids.blend(x.T, shape, towards.T)  # (5, 3, Q)
+    for i, on in enumerate((planes.fine, planes.staggered, planes.coarse)):
+        node, weight = corners(on.level, x + on.shift, shape)
+        centroid, normal = on.plane.T[node].split(3, -1)  # (Q, 8, 3)
+        offset = x[:, None] - centroid
+        width = BLEND * on.level.cell_size
+        weight = weight * (-0.5 * offset.square().sum(-1) / width**2).exp()
+        sign = weight * torch.where((normal * towards[:, None]).sum(-1) < 0, -1, 1)
+        torch.testing.assert_close(found[:3, i].T, (sign[..., None] * normal).sum(1))
+        torch.testing.assert_close(found[3, i], (sign * (normal * offset).sum(-1)).sum(-1))
+        torch.testing.assert_close(found[4, i], weight.sum(-1))
 
 
 def test_spectra_measure_thickness_in_cells():
