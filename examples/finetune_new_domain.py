@@ -41,8 +41,13 @@ def main() -> None:
     before = ExpLogField.from_pretrained(args.weights)
     after = tune(args, training)
     table = report(before, after, {"new domain": new, "old domain": old})
-    print(f"\n{table}")
-    (args.output / "finetune.md").write_text(table + "\n")
+    text = (
+        f"{args.meshes.name if args.meshes else args.domain}: {len(meshes) - len(held)} meshes, "
+        f"{args.minutes:g} minutes, keep {args.keep:g}, threads: {torch.get_num_threads()}. "
+        f"Means over {len(new)} meshes that were held out.\n\n{table}\n"
+    )
+    print(f"\n{text}")
+    (args.output / "finetune.md").write_text(text)
     print("picture:", picture(args, before, after, new[0]))
     after.save_pretrained(args.output / "finetuned")
     print("weights:", args.output / "finetuned")
