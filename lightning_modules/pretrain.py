@@ -52,7 +52,7 @@ class ExpLogPretraining(L.LightningModule):
         self.losses = losses or LossWeights()
         self.learning_rate, self.weight_decay, self.warmup = learning_rate, weight_decay, warmup
         self.field = (
-            ExpLogField.from_pretrained(start_from)
+            ExpLogField.from_pretrained(start_from).train()
             if start_from
             else ExpLogField(config or FieldConfig.preset(preset))
         )
