@@ -80,7 +80,7 @@ class Grids(NamedTuple):
     """(G, 1, 1) what is added to a coordinate in cells: a level's shift is in it."""
     last: Tensor
     """(G, 1, 1) coordinate, in cells, of the outermost cells' centres."""
-    narrow: Tensor
+    sharpness: Tensor
     """(G, 1, 1) what a squared distance from a centroid counts in the blend's exponent."""
     other_side: Tensor
     """() see `PlaneLevel`."""
@@ -90,7 +90,7 @@ class Grids(NamedTuple):
         """Those of some levels."""
         cells = [on.level.cell_size for on in levels]
         shifts = torch.stack([on.shift for on in levels])[:, None, None]
-        per_unit, last, narrow = shifts.new_tensor(
+        per_unit, last, sharpness = shifts.new_tensor(
             [
                 [1 / cell for cell in cells],
                 [(1 << on.level.depth) - 1 for on in levels],
@@ -100,7 +100,7 @@ class Grids(NamedTuple):
         first = (shifts + HALF_WIDTH) * per_unit - 0.5
         plane = torch.cat([on.plane for on in levels], 1)
         own = tuple(on.level for on in levels)
-        return cls(own, plane, per_unit, first, last, narrow, levels[0].other_side)
+        return cls(own, plane, per_unit, first, last, sharpness, levels[0].other_side)
 
     def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
         """Sums (5, G, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
@@ -116,7 +116,7 @@ class Grids(NamedTuple):
         near = self.plane.index_select(1, torch.cat(nodes).flatten())
         centroid, normal = near.view(6, *weight.shape).split(3)  # (3, G, 8, Q)
         offset = x[:, None, None] - centroid
-        exponent = offset.square().sum(0) * self.narrow
+        exponent = offset.square().sum(0) * self.sharpness
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
         away = ((normal * towards[:, None, None]).sum(0).detach() < 0).to(x.dtype)
         sign = torch.addcmul(weight, weight, away * (self.other_side - 1))
