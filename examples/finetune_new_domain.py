@@ -134,7 +134,9 @@ def picture(args: argparse.Namespace, before: ExpLogField, after: ExpLogField, s
 
 
 def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Carry the packaged field to your own domain.")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--meshes", type=Path, help="folder of your meshes")
     parser.add_argument("--domain", choices=[*DOMAINS], default="vessels")
     parser.add_argument("--shapes", type=int, default=60, help="meshes to use at most")
