@@ -11,8 +11,8 @@ from torch.nn import functional as F
 
 from riemlayer.geometry.frames import frame_of
 from riemlayer.geometry.planes import LocalPlanes
-from riemlayer.geometry.walk import advance
-from riemlayer.numerics import outer6
+from riemlayer.geometry.walk import Walked, advance
+from riemlayer.numerics import in_columns, outer6
 
 LENGTHS = 8
 """Points kept along each geodesic of a fan."""
@@ -23,7 +23,10 @@ REACH = 1.04
 WIDTH = 0.03
 """Distance in the cube over which a fan's points share in an answer: about their spacing at the
 rim, where two geodesics of a fan of 48 are 0.065 apart."""
-SHORTER = 0.1
+ABOVE = 8.0
+"""What the square of a height above a point's plane counts more than one along it: it is what tells
+the two sides of a thin sheet apart."""
+SHORTER = 0.05
 """What a squared length counts beside a squared distance: of two sheets that are as near, the one
 that is reached sooner prevails."""
 
@@ -32,8 +35,8 @@ class Fan(NamedTuple):
     """F points on geodesics from each of S sources, and the affine log map around each point."""
 
     key: Tensor
-    """(S, F, 4) what a query's share of each point depends on: the point relative to the source,
-    and what its distance and its length take off."""
+    """(S, F, 10) what a query's share of each point depends on: a polynomial, by its factors of the
+    query's coordinates (3), of 1, and of the coordinates' products (6)."""
     values: Tensor
     """(S, F, 22): matrix A and offset b of log(x) = A x + b (9 + 3), |v|, normal (6 products), and
     the point again."""
@@ -52,54 +55,57 @@ class FanLog(NamedTuple):
     """(S, K, 3) from the mean of their points to the query."""
 
 
-def fan_of(
-    planes: LocalPlanes, p: Tensor, normal: Tensor, shape: Tensor, rays: int, radius: float
-) -> Fan:
+def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: float) -> Fan:
     """Walk from each source along `rays` directions, and keep `LENGTHS` points of each geodesic.
 
     Around a point x_i = Exp_p(v_i) the log map is v_i plus the tangent part of x - x_i, carried
-    back along the geodesic: A_i takes the direction and the normal there to those at p.
+    back along the geodesic: A_i takes the direction and the normal there to those at p. Points and
+    lengths are those of a walk at the height of p above its plane, as on a shell.
 
     Args:
         planes: of the cloud.
-        p, normal: (S, 3) sources in the cube, and what `planes.normal` answers there.
+        p: (S, 3) sources in the cube.
         shape: (S,) int64, shape of each source.
         rays: number of geodesics.
         radius: trained radius; they are `REACH` times as long.
     """
+    normal, height = planes.plane(p, shape)
     angle = torch.arange(rays, dtype=p.dtype, device=p.device) * (2 * math.pi / rays)
     e1, e2, _ = frame_of(normal)[:, None].unbind(-1)
     along = angle.cos()[:, None] * e1 + angle.sin()[:, None] * e2  # (S, rays, 3)
     across = torch.linalg.cross(normal[:, None].expand_as(along), along)
-    x = p[:, None].expand_as(along).flatten(0, 1)
-    carried, n = along.flatten(0, 1), normal.repeat_interleave(rays, 0)
-    batch = shape.repeat_interleave(rays)
-    stride = REACH * radius / (LENGTHS * STEPS)
-    parts = []
+    start, n, height, batch = (y.repeat_interleave(rays, 0) for y in (p, normal, height, shape))
+    at = Walked(*(in_columns(y) for y in (start, along.flatten(0, 1), n)))
+    stride = torch.full_like(height, REACH * radius / (LENGTHS * STEPS))
+    length, parts = torch.zeros_like(height), []
     for i in range(1, LENGTHS * STEPS + 1):
-        x, carried, n = advance(planes, x, carried, n, batch, stride)
+        at, turned = advance(planes, at, batch, stride)
+        length = length + stride + height * turned
         if i % STEPS == 0:
-            parts.append(torch.cat((x, carried, n), -1).view(len(p), rays, 9))
-    x, carried, n = torch.stack(parts, 2).split(3, -1)  # (S, rays, LENGTHS, 3)
-    length = (stride * STEPS) * torch.arange(1, LENGTHS + 1, dtype=p.dtype, device=p.device)
-    length = length[:, None].expand_as(x[..., :1])
+            lifted = at.point + height * at.normal
+            parts.append(torch.cat((lifted, *at[1:], length), -1).view(len(p), rays, 10))
+    x, carried, n, length = torch.stack(parts, 2).split((3, 3, 3, 1), -1)  # (S, rays, LENGTHS, 3)
     x = x - p[:, None, None]
     side = torch.linalg.cross(n, carried)
     back = along[:, :, None, :, None] * carried[..., None, :]
     back = back + across[:, :, None, :, None] * side[..., None, :]  # (S, rays, LENGTHS, 3, 3)
     offset = length * along[:, :, None] - (back * x[..., None, :]).sum(-1)
-    takes = -0.5 * (x.square().sum(-1, keepdim=True) + SHORTER * length.square())
-    values = torch.cat((back.flatten(-2), offset, length, outer6(n), x), -1)
-    return Fan(torch.cat((x, takes), -1).flatten(1, 2), values.flatten(1, 2))
+    through, up = outer6(n), (n * x).sum(-1, keepdim=True)
+    square = x.square().sum(-1, keepdim=True) + ABOVE * up.square()
+    takes = -0.5 * (square + SHORTER * length.square())
+    key = torch.cat((x + ABOVE * up * n, takes, -0.5 * ABOVE * through), -1)
+    values = torch.cat((back.flatten(-2), offset, length, through, x), -1)
+    return Fan(key.flatten(1, 2), values.flatten(1, 2))
 
 
 def log_on_fan(fan: Fan, x: Tensor) -> FanLog:
     """Logs of chords (S, K, 3): the affine log maps around a fan's points, blended.
 
-    Shares are softmax(-(|x - x_i|^2 + SHORTER |v_i|^2) / (2 WIDTH^2)): attention of the queries to
-    the fan's points, in full precision always.
+    Shares are softmax(-(|x - x_i|^2 + ABOVE (n_i . (x - x_i))^2 + SHORTER |v_i|^2) / (2 WIDTH^2)):
+    attention of the queries to the fan's points, in full precision always.
     """
-    query = torch.cat((x, torch.ones_like(x[..., :1])), -1) / WIDTH**2
+    products = outer6(x) * x.new_tensor([1.0, 1, 1, 2, 2, 2])
+    query = torch.cat((x, torch.ones_like(x[..., :1]), products), -1) / WIDTH**2
     with torch.autocast(x.device.type, enabled=False):
         read = attention(query, fan.key, fan.values)
     back, offset, length, normal, point = read.split((9, 3, 1, 6, 3), -1)

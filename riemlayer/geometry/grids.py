@@ -102,10 +102,11 @@ class Grids(NamedTuple):
         own = tuple(on.level for on in levels)
         return cls(own, plane, per_unit, first, last, sharpness, levels[0].other_side)
 
-    def blend(self, x: Tensor, batch: Tensor, towards: Tensor) -> Tensor:
+    def blend(self, x: Tensor, batch: Tensor, towards: Tensor, offsets: bool = False) -> Tensor:
         """Sums (5, G, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
 
-        Each over the eight nodes around `x` on one grid.
+        Each over the eight nodes around `x` on one grid; with `offsets` three more rows, the
+        offsets of `x` from their centroids.
         """
         t = torch.addcmul(self.first, x, self.per_unit)  # (G, 3, Q)
         cells, weight = trilinear(t.clamp_min(0).minimum(self.last))
@@ -120,6 +121,8 @@ class Grids(NamedTuple):
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
         away = ((normal * towards[:, None, None]).sum(0).detach() < 0).to(x.dtype)
         sign = torch.addcmul(weight, weight, away * (self.other_side - 1))
-        distance = sign * (normal * offset).sum(0)
-        sums = torch.stack((distance, sign.abs())).sum(2)
-        return torch.cat(((normal * sign).sum(2), sums))
+        distance, weight = sign * (normal * offset).sum(0), sign.abs()
+        sums = [(normal * sign).sum(2), torch.stack((distance, weight)).sum(2)]
+        if offsets:
+            sums.append((offset * weight).sum(2))
+        return torch.cat(sums)

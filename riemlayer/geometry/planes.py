@@ -23,6 +23,8 @@ FALLBACK = 2e-3
 """Weight of the coarse planes beside the fine ones; they alone count where those are missing."""
 FAR = 1e3
 """Where the plane of "no node" lies: nowhere near a query, so that its weight vanishes."""
+NOWHERE = 1e-10
+"""Weight of the planes around a query below which there are none."""
 NO_PLANE = 1e-3
 """Second eigenvalue, in squared cells, below which a neighbourhood is a point or a line."""
 
@@ -39,11 +41,15 @@ class LocalPlanes(NamedTuple):
     staggered: PlaneLevel
     grids: Grids
     """The three of them: fine, staggered, coarse."""
+    rims: bool
+    """Whether walks look for rims of sheets: finer planes have gaps wherever points are sparse."""
 
     @classmethod
-    def of(cls, fine: PlaneLevel, coarse: PlaneLevel, staggered: PlaneLevel) -> LocalPlanes:
+    def of(
+        cls, fine: PlaneLevel, coarse: PlaneLevel, staggered: PlaneLevel, rims: bool
+    ) -> LocalPlanes:
         """Those of three levels."""
-        return cls(fine, coarse, staggered, Grids.of((fine, staggered, coarse)))
+        return cls(fine, coarse, staggered, Grids.of((fine, staggered, coarse)), rims)
 
     def at(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
         """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
@@ -52,14 +58,26 @@ class LocalPlanes(NamedTuple):
         Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from
         every node the normal is `towards` and the distance 0.
         """
-        x, towards = x.T, towards.T
-        *fine, coarse = self.grids.blend(x, batch, towards).unbind(1)
+        return _plane_of(self._blended(x, batch, towards), towards)
+
+    def beside(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """`at`, and where `x` lies beside the mean of the centroids around it (Q, 3).
+
+        That offset is taken within the plane: small well inside a sheet, outside its rim it points
+        away from it. 0 far from every node.
+        """
+        sums = self._blended(x, batch, towards, offsets=True)
+        normal, gap = _plane_of(sums[:5], towards)
+        weight = sums[4]
+        offset = torch.where(weight > NOWHERE, sums[5:] / weight.clamp_min(NOWHERE), 0.0).T
+        return normal, gap, offset - (offset * normal).sum(-1, keepdim=True) * normal
+
+    def _blended(self, x: Tensor, batch: Tensor, towards: Tensor, offsets: bool = False) -> Tensor:
+        """`Grids.blend` summed over the fine grids, and the coarse one where they have little."""
+        *fine, coarse = self.grids.blend(x.T, batch, towards.T, offsets).unbind(1)
         sums = fine[0] + fine[1]
         thin = (sums[4].detach() < 30 * FALLBACK).to(x.dtype)
-        sums = torch.addcmul(sums, coarse, thin, value=FALLBACK)
-        normal, distance, weight = sums[:3], sums[3], sums[4]
-        normal = torch.where(weight > 1e-10, normal, towards)
-        return normalise(normal.T), (distance / weight.clamp_min(1e-10))[:, None]
+        return torch.addcmul(sums, coarse, thin, value=FALLBACK)
 
     def normal(self, p: Tensor, batch: Tensor) -> Tensor:
         """Unit normals (Q, 3) at `p`, with the sign of the nearest node's; the z axis far away."""
@@ -97,7 +115,7 @@ class LocalPlanes(NamedTuple):
         fine, coarse, staggered = (
             PlaneLevel(on.level.map(change), *map(change, on[1:])) for on in self[:3]
         )
-        return LocalPlanes.of(fine, coarse, staggered)
+        return LocalPlanes.of(fine, coarse, staggered, self.rims)
 
     def point_features(self, points: Tensor, node: Tensor) -> Tensor:
         """What the stem is told of each point's plane: (N, 11), without units and without sign.
@@ -110,6 +128,13 @@ class LocalPlanes(NamedTuple):
         centroid, normal = plane.plane.T[node].split(3, -1)
         offset = (points - centroid) / plane.level.cell_size
         return torch.cat((outer6(normal), ratios, offset), -1)
+
+
+def _plane_of(sums: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit normal (Q, 3) and signed distance (Q, 1) of blended sums (5, Q)."""
+    normal, distance, weight = sums[:3], sums[3], sums[4]
+    normal = torch.where(weight > NOWHERE, normal, towards.T)
+    return normalise(normal.T), (distance / weight.clamp_min(NOWHERE))[:, None]
 
 
 def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
@@ -140,7 +165,9 @@ def planes_at_scales(
     every = _plane_levels(points, octree, scales, 0.0, normals)
     staggered = _plane_levels(points, other, scales - 1, shift, normals)
     pairs = zip(every, every[1:], staggered, strict=False)
-    return tuple(LocalPlanes.of(*planes) for planes in reversed([*pairs]))
+    finest_first = [LocalPlanes.of(*planes, rims=False) for planes in pairs]
+    widest = finest_first.pop()._replace(rims=True)
+    return (widest, *reversed(finest_first))
 
 
 def _plane_levels(

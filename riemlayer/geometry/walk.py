@@ -12,6 +12,11 @@ from riemlayer.numerics import in_columns, normalise
 
 ANCHOR = 0.3
 """Length, in cells, within which a walk leaves p along v itself, to first order."""
+RIM = 0.5
+"""Distance, in cells, beside the mean of the centroids around it from which on a walk has left a
+sheet."""
+AHEAD = 1.5
+"""Distance, in cells, at which it looks whether the sheet goes on."""
 STEEP = 0.1
 """Share of a chord's squared height that counts as length when its tangent part is stretched."""
 NEGLIGIBLE = 0.05
@@ -19,14 +24,14 @@ NEGLIGIBLE = 0.05
 
 
 class Walked(NamedTuple):
-    """Where a walk ended."""
+    """Where a walk is, or where it ended."""
 
     point: Tensor
-    """(Q, 3) end point."""
+    """(Q, 3) point on the planes."""
     vector: Tensor
-    """(Q, 3) v carried along by parallel transport: |v| times the end direction."""
+    """(Q, 3) v carried along by parallel transport: |v| times the direction there."""
     normal: Tensor
-    """(Q, 3) unit normal at the end; its sign is arbitrary at the start and kept along the walk."""
+    """(Q, 3) unit normal there; its sign is arbitrary at the start and kept along the walk."""
 
 
 def walk(
@@ -35,14 +40,17 @@ def walk(
     v: Tensor,
     batch: Tensor,
     steps: int = 8,
-    normal: Tensor | None = None,
+    plane: tuple[Tensor, Tensor] | None = None,
 ) -> Walked:
-    """Walk from `p` along `v` over the local planes in `steps` equal steps (appendix D).
+    """Walk from `p` along `v` over the local planes in `steps` steps (appendix D).
 
     Each step goes straight ahead, drops onto the plane found there, and turns the direction by the
     smallest rotation that takes the last normal to the new one: parallel transport, where the paper
     projects and renormalises. In 8 steps this is as accurate as projection in steps of half the
     spacing. Where no plane is near the walk goes straight on.
+
+    The length is that of a walk at the height of `p` above its plane, as on a shell around the
+    cloud: what turns at that height take of it is not walked (ours).
 
     Exact at the origin: walk(p, 0) = p with the identity as its differential, because the departure
     from p + v is faded in with |v|^2 over `ANCHOR` cells.
@@ -53,28 +61,77 @@ def walk(
         v: (Q, 3) tangent vectors.
         batch: (Q,) int64, shape of each start.
         steps: number of steps; 8 for the trained radius, |v| over half the spacing for a fine walk.
-        normal: (Q, 3) what `planes.normal` answers at `p`, where it is known already.
+        plane: what `planes.plane` answers at `p`, where it is known already.
     """
-    if normal is None:
-        normal = planes.normal(p, batch)
+    normal, height = plane or planes.plane(p, batch)
     square = v.square().sum(-1, keepdim=True)
     negligible = (NEGLIGIBLE * planes.fine.level.cell_size) ** 2
     tilt = (normal * v).sum(-1, keepdim=True) / square.clamp_min(negligible)
     normal = normalise(normal - tilt * v)
-    x, carried, normal = (in_columns(y) for y in (p, v, normal))
-    for _ in range(steps):
-        x, carried, normal = advance(planes, x, carried, normal, batch, 1 / steps)
-    return Walked(p + v + fade_in(square, planes) * (x - p - v), carried, normal)
+    at = Walked(*(in_columns(y) for y in (p, v, normal)))
+    rest = torch.ones_like(square)
+    for left in range(steps, 0, -1):
+        share = rest.clamp_min(0) / left
+        at, turned = advance(planes, at, batch, share)
+        rest = rest - share - height * turned / square.clamp_min(negligible)
+    x = torch.addcmul(at.point, rest, at.vector)
+    return at._replace(point=p + v + fade_in(square, planes) * (x - p - v))
 
 
-def advance(
-    planes: LocalPlanes, x: Tensor, carried: Tensor, normal: Tensor, batch: Tensor, share: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """One step of a walk, by a share of the carried vector: point, vector and normal (Q, 3)."""
-    x = torch.add(x, carried, alpha=share)
-    ahead, gap = planes.at(x, batch, normal)
+def advance(planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor) -> tuple[Walked, Tensor]:
+    """One step of a walk, by a share (Q, 1) of the carried vector.
+
+    Also how the normal turned towards that vector (Q, 1): times |v| in radians, and above 0 where
+    the surface bends away from the normal.
+    """
+    x = at.point + share * at.vector
+    ahead, gap, *beside = (planes.beside if planes.rims else planes.at)(x, batch, at.normal)
+    turned = ((ahead - at.normal) * at.vector).sum(-1, keepdim=True)
     x = torch.addcmul(x, gap, ahead, value=-1)
-    return x, turn(carried, normal, ahead), ahead
+    there = Walked(x, turn(at.vector, at.normal, ahead), ahead)
+    return turn_back(planes, there, batch, share, *beside) if planes.rims else there, turned
+
+
+def turn_back(
+    planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor, beside: Tensor
+) -> Walked:
+    """Reflects walks at the rims of sheets: they go on at the other side (ours).
+
+    Points do not tell the two sides of a thin sheet apart, and at its rim its planes end. A
+    geodesic goes round the rim, and back below: that is, flattened out, a reflection at the rim,
+    with the normal turned over. A walk is at a rim if it has come from the sheet, and there is no
+    plane further ahead either.
+
+    Args:
+        planes, batch: as for `walk`.
+        at: walks after a step by `share` of their vectors.
+        beside: (Q, 3) what `planes.beside` answers there.
+    """
+    cell = planes.fine.level.cell_size
+    leaves = (beside * at.vector).sum(-1) > 0
+    leaves &= beside.square().sum(-1) > (RIM * cell) ** 2
+    rows = leaves.detach().nonzero().squeeze(-1)
+    if not len(rows):
+        return at
+    x, vector, normal, beside, share = (y[rows] for y in (*at, beside, share))
+    outward = normalise(beside)
+    along = torch.linalg.cross(normal, outward)
+    places = [x + cell * way for way in (AHEAD * outward, along, -along)]
+    thrice = (y.repeat(3, *[1] * (y.ndim - 1)) for y in (batch[rows], normal))
+    further, *sides = planes.beside(torch.cat(places), *thrice)[2].chunk(3)
+    found = [(y != 0).any(-1, keepdim=True) for y in (further, *sides)]
+    ends = ~(found[0] & ((further * outward).sum(-1, keepdim=True) < AHEAD * cell))
+    ends = ends.to(x.dtype)
+    beside = (beside + sides[0] + sides[1]) / (1.0 + found[1] + found[2])
+    outward = normalise(beside)
+    speed = ends * (vector * outward).sum(-1, keepdim=True).clamp_min(0)
+    over = ((beside * outward).sum(-1, keepdim=True) - RIM * cell).clamp_min(0)
+    over = torch.minimum(ends * over, speed * share)
+    return Walked(
+        at.point.index_add(0, rows, -2 * over * outward),
+        at.vector.index_add(0, rows, -2 * speed * outward),
+        at.normal.index_copy(0, rows, normal * (1 - 2 * ends)),
+    )
 
 
 def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:

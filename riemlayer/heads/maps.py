@@ -44,7 +44,7 @@ class ExpHead(MapHead):
         normal, height = field.planes.plane(p, shape)
         site, length = sites(field, p, normal, shape), safe_norm(v)
         told, ends, normals = [length / self.radius], [], []
-        for moved, turned, there in self.walks(field, p, v, shape, normal):
+        for moved, turned, there in self.walks(field, p, v, shape, normal, height):
             away = moved - (ends[0] if ends else v)
             bend = safe_norm(away) / (length + 0.01 * self.radius)
             told += [away / self.radius, bend, turned / self.radius, outer6(there)]
@@ -63,16 +63,16 @@ class ExpHead(MapHead):
         return x
 
     def walks(
-        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, normal: Tensor
+        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, *plane: Tensor
     ) -> list[tuple[Tensor, Tensor, Tensor]]:
         """Of each walk: where it ends, v carried there, and the normal there (S, K, 3)."""
-        start, normal = (y[:, None].expand_as(v).reshape(-1, 3) for y in (p, normal))
+        start, normal, height = (y.repeat_interleave(v.shape[1], 0) for y in (p, *plane))
         if not self.config.walk_steps:
             return [(v, v, normal.view_as(v))]
         index = shape[:, None].expand(v.shape[:2]).flatten()
         walks = []
         for planes, steps in zip((field.planes, *field.finer), self.config.walk_steps, strict=True):
-            end = walk(planes, start, v.flatten(0, 1), index, steps, normal)
+            end = walk(planes, start, v.flatten(0, 1), index, steps, (normal, height))
             moved = end.point - start
             walks.append(tuple(y.view_as(v) for y in (moved, end.vector, end.normal)))
         return walks
@@ -126,8 +126,7 @@ class LogHead(MapHead):
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        own, there, normal = p[rows], shape[rows], planes.normal(p[rows], shape[rows])
-        fan = fan_of(planes, own, normal, there, self.config.fan_rays, self.radius)
+        fan = fan_of(planes, p[rows], shape[rows], self.config.fan_rays, self.radius)
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)

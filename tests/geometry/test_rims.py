@@ -1,0 +1,155 @@
+"""Walks at a height and at rims: as on a shell around the cloud, and round the edge of a sheet."""
+
+import math
+
+import pytest
+import torch
+from references import fibonacci_sphere, lumpy
+from torch import Tensor
+
+from riemlayer.geometry import LocalPlanes, Walked, fan_of, local_planes, log_on_fan, walk
+from riemlayer.geometry.walk import RIM
+from riemlayer.octree import build_octree
+
+EDGE, THICK = 0.5, 0.04
+
+
+def planes_of(points: Tensor, depth: int = 6) -> LocalPlanes:
+    batch = torch.zeros(len(points), dtype=torch.long)
+    return local_planes(points, build_octree(points, batch, depth))
+
+
+def go(planes: LocalPlanes, p: Tensor, v: Tensor, steps: int = 16) -> Walked:
+    return walk(planes, p, v, torch.zeros(len(p), dtype=torch.long), steps)
+
+
+def grid(side: float, n: int) -> Tensor:
+    """(n^2, 3) points of a square sheet around the origin, at the middles of cells."""
+    line = ((torch.arange(n, dtype=torch.float64) + 0.5) / n - 0.5) * 2 * side
+    return torch.cat((torch.cartesian_prod(line, line), torch.zeros(n * n, 1).double()), -1)
+
+
+@pytest.fixture(scope="module")
+def sheet() -> Tensor:
+    """Rotated so that nothing is aligned with the octree."""
+    return grid(EDGE, 80)
+
+
+@pytest.fixture(scope="module")
+def turned() -> Tensor:
+    generator = torch.Generator().manual_seed(3)
+    q = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=generator))[0]
+    return q * q.det().sign()
+
+
+def reflected(x: Tensor) -> Tensor:
+    """Where straight lines that are folded back at the edge x = EDGE end."""
+    return torch.cat((EDGE - (EDGE - x[:, :1]).abs(), x[:, 1:]), -1)
+
+
+def test_at_the_rim_of_a_sheet_a_walk_is_reflected_and_turned_over(sheet, turned):
+    planes = planes_of(sheet @ turned.T, 5)
+    y = torch.linspace(-0.2, 0.2, 9, dtype=torch.float64)[:, None]
+    p = torch.cat((torch.full_like(y, 0.35), y, torch.zeros_like(y)), -1)
+    v = torch.tensor([[0.35, 0.1, 0.0]], dtype=torch.float64).expand(9, 3)
+    end = go(planes, p @ turned.T, v @ turned.T)
+    cell = planes.fine.level.cell_size
+    assert ((end.point @ turned - reflected(p + v)).norm(dim=-1) < 2 * RIM * cell).all()
+    back = v * torch.tensor([-1.0, 1, 1])
+    torch.testing.assert_close(end.vector @ turned, back, rtol=0, atol=0.1)
+    torch.testing.assert_close(end.vector.norm(dim=-1), v.norm(dim=-1))
+    start = go(planes, p @ turned.T, 0.1 * v @ turned.T).normal
+    torch.testing.assert_close(end.normal, -start)
+
+
+def test_without_rims_a_walk_leaves_the_sheet_straight(sheet):
+    planes = planes_of(sheet, 5)._replace(rims=False)
+    p = torch.tensor([[0.4, 0.0, 0.0]], dtype=torch.float64)
+    v = torch.tensor([[0.4, 0.1, 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(go(planes, p, v).point, p + v, rtol=0, atol=1e-9)
+
+
+def test_across_a_gap_a_walk_goes_on(sheet):
+    """Where the sheet is missing for less than the distance that is looked ahead."""
+    planes = planes_of(sheet, 5)
+    cell = planes.fine.level.cell_size
+    split = planes_of(sheet[(sheet[:, 0] - 0.1).abs() > 0.4 * cell], 5)
+    p = torch.tensor([[-0.1, 0.013, 0.0], [-0.1, 0.2, 0.0]], dtype=torch.float64)
+    v = torch.tensor([[0.4, 0.05, 0.0]], dtype=torch.float64).expand(2, 3)
+    torch.testing.assert_close(go(split, p, v).point, p + v, rtol=0, atol=1e-6)
+
+
+def slab(n: int = 90) -> Tensor:
+    """Both sides of a thin square slab."""
+    up = torch.tensor([0.0, 0.0, THICK / 2], dtype=torch.float64)
+    return torch.cat((grid(EDGE, n) + up, grid(EDGE, n) - up))
+
+
+def round_the_edge(p: Tensor, v: Tensor) -> Tensor:
+    """Exp on the slab across its edge at x = EDGE, from the upper side."""
+    beyond = p[:, 0] + v[:, 0] - EDGE - THICK
+    y = p[:, 1] + v[:, 1]
+    return torch.stack((EDGE - beyond, y, torch.full_like(y, -THICK / 2)), -1)
+
+
+def test_round_the_edge_of_a_thin_slab():
+    """From the upper side to the lower one; without rims the walk ends in the air."""
+    planes = planes_of(slab(), 5)
+    y = torch.linspace(-0.2, 0.2, 9, dtype=torch.float64)[:, None]
+    p = torch.cat((torch.full_like(y, 0.4), y, torch.full_like(y, THICK / 2)), -1)
+    v = torch.tensor([[0.3, 0.05, 0.0]], dtype=torch.float64).expand(9, 3)
+    exact = round_the_edge(p, v)
+    batch = torch.zeros(9, dtype=torch.long)
+    height = planes.plane(p, batch)[1]
+    ends = []
+    for rims in (True, False):
+        end = go(planes._replace(rims=rims), p, v)
+        ends.append((end.point + height * end.normal - exact).norm(dim=-1).mean())
+    assert ends[0] < 0.05 and ends[0] < ends[1] / 6, ends
+
+
+def test_a_fan_tells_the_sides_of_a_thin_slab_apart():
+    """Logs of the upper side are straight; those of the lower one go round the edge."""
+    planes = planes_of(slab(), 5)
+    p = torch.tensor([[0.35, 0.0, THICK / 2]], dtype=torch.float64)
+    v = torch.tensor([[0.1, 0.03, 0.0], [0.05, -0.2, 0.0], [0.3, 0.02, 0.0], [0.28, -0.1, 0.0]])
+    v = v.double()
+    q = torch.cat((p + v[:2], round_the_edge(p.expand(2, 3), v[2:])))
+    fan = fan_of(planes, p, torch.zeros(1, dtype=torch.long), 48, 0.5)
+    read, straight = log_on_fan(fan, (q - p)[None]).vector[0], q - p
+    assert ((read - v)[:2].norm(dim=-1) < 0.01).all()
+    assert ((read - v)[2:].norm(dim=-1) < 0.3 * (straight - v)[2:].norm(dim=-1)).all()
+
+
+@pytest.mark.parametrize("height", [-0.03, 0.03])
+def test_at_a_height_a_walk_is_as_long_as_on_the_shell_there(height):
+    """Above a sphere of radius 1 it turns by |v| / (1 + h)."""
+    planes, n = planes_of(fibonacci_sphere(20_000)), fibonacci_sphere(100)
+    v = torch.linalg.cross(n, torch.randn_like(n))
+    v = 0.5 * v / v.norm(dim=-1, keepdim=True)
+    angle = 0.5 / (1 + height)
+    for steps, tolerance in ((8, 4e-3), (32, 1.5e-3)):
+        end = go(planes, (1 + height) * n, v, steps).point
+        exact = math.cos(angle) * n + math.sin(angle) * v / 0.5
+        assert float((end - exact).norm(dim=-1).max()) < tolerance
+    unaware = math.cos(0.5) * n + math.sin(0.5) * v / 0.5
+    assert float((unaware - exact).norm(dim=-1).min()) > 0.01
+
+
+def test_rims_have_gradients_and_forward_mode_agrees(sheet):
+    """Reflections are differentiable: of the end in start, vector and cloud."""
+    points = grid(0.5, 12) + 1e-3 * lumpy(144)
+    p = torch.tensor([[0.31, 0.02, 0.001], [0.3, -0.11, 0.0]], dtype=torch.float64)
+    v = torch.tensor([[0.4, 0.05, 0.0], [0.38, -0.1, 0.02]], dtype=torch.float64)
+
+    def end(p: Tensor, v: Tensor, points: Tensor) -> Tensor:
+        return torch.cat(go(planes_of(points, 4), p, v, 5), -1)
+
+    assert float((end(p, v, points)[:, 0] - (p + v)[:, 0]).max()) < -0.1  # they were reflected
+    arguments = [x.clone().requires_grad_() for x in (p, v, points)]
+    assert torch.autograd.gradcheck(end, arguments, fast_mode=True, atol=1e-4)
+    along = torch.randn_like(v)
+    _, pushed = torch.func.jvp(lambda v: end(p, v, points), (v,), (along,))
+    step = 1e-6
+    slope = (end(p, v + step * along, points) - end(p, v - step * along, points)) / (2 * step)
+    torch.testing.assert_close(pushed, slope, rtol=0, atol=1e-5)
