@@ -1,10 +1,12 @@
 """What oriented normals of the points are worth on thin shapes.
 
     python -m benchmarks.normals [--weights base] [-n 24]
+    python -m benchmarks.normals --told DIR --untold DIR
 
 evaluates the field on procedural thin shapes (hands, sheets, spectacles, ...), once as it is and
 once with the mesh's vertex normals handed to `encode`, and writes normals.md and normals.json to
-benchmarks/results.
+benchmarks/results. The second form adds two fields that were trained alike, one of the preset
+`base-normals`, whose network is told the normals too, and one of `base`.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -46,19 +49,31 @@ def main(arguments: list[str] | None = None) -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--weights", default="base", help="name or folder of the field's weights")
+    parser.add_argument("--told", help="weights of the preset base-normals")
+    parser.add_argument("--untold", help="weights of base, trained alike")
     parser.add_argument("-n", type=int, default=24, help="shapes (default 24)")
     parser.add_argument("--sources", type=int, default=5, help="sources a shape (default 5)")
     parser.add_argument("-o", "--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     field = ExpLogField.from_pretrained(options.weights)
-    systems: dict[str, Callable] = {"points alone": Neural, "points and normals": WithNormals}
+    systems: dict[str, Callable[[], Neural]] = {
+        "points alone": partial(Neural, field),
+        "points and normals": partial(WithNormals, field),
+    }
+    if options.untold:
+        trained = ExpLogField.from_pretrained(options.untold)
+        systems["`base` trained alike, points alone"] = partial(Neural, trained)
+        systems["`base` trained alike, points and normals"] = partial(WithNormals, trained)
+    if options.told:
+        told = ExpLogField.from_pretrained(options.told)
+        systems["`base-normals`"] = partial(WithNormals, told)
     with tempfile.TemporaryDirectory() as folder:
         made = procedural_shapes(
             options.n, folder, kinds=THIN, group="thin", sources=options.sources
         )
         shapes = [Shape.load(path) for path in sorted(Path(folder).glob("thin/*.npz"))]
     rows = {
-        name: summarise(pool([evaluate(system(field), shape) for shape in shapes]))
+        name: summarise(pool([evaluate(system(), shape) for shape in shapes]))
         for name, system in systems.items()
     }
     lines = ["| mask | input | " + " | ".join(COLUMNS.values()) + " |", "|---" * 6 + "|"]
