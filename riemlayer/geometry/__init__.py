@@ -3,9 +3,10 @@
 from riemlayer.geometry.fan import Fan, FanLog, fan_of, log_on_fan
 from riemlayer.geometry.frames import angle_of, frame_of, nearest_isometry
 from riemlayer.geometry.planes import LocalPlanes, local_planes, planes_at_scales
-from riemlayer.geometry.walk import Walked, fade_in, lay_flat, turn, walk
+from riemlayer.geometry.walk import MET, Walked, fade_in, lay_flat, turn, walk
 
 __all__ = [
+    "MET",
     "Fan",
     "FanLog",
     "LocalPlanes",

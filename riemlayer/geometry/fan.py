@@ -11,8 +11,8 @@ from torch.nn import functional as F
 
 from riemlayer.geometry.frames import frame_of
 from riemlayer.geometry.planes import LocalPlanes
-from riemlayer.geometry.walk import Walked, advance
-from riemlayer.numerics import in_columns, outer6
+from riemlayer.geometry.walk import MET, Walked, advance
+from riemlayer.numerics import outer6
 
 LENGTHS = 8
 """Points kept along each geodesic of a fan."""
@@ -38,8 +38,8 @@ class Fan(NamedTuple):
     """(S, F, 10) what a query's share of each point depends on: a polynomial, by its factors of the
     query's coordinates (3), of 1, and of the coordinates' products (6)."""
     values: Tensor
-    """(S, F, 22): matrix A and offset b of log(x) = A x + b (9 + 3), |v|, normal (6 products), and
-    the point again."""
+    """(S, F, 22 + MET): matrix A and offset b of log(x) = A x + b (9 + 3), |v|, products of
+    the normal (6), the point again, and what the walk there met, a step."""
 
 
 class FanLog(NamedTuple):
@@ -53,6 +53,8 @@ class FanLog(NamedTuple):
     """(S, K, 6) mean of their normals' products."""
     gap: Tensor
     """(S, K, 3) from the mean of their points to the query."""
+    met: Tensor
+    """(S, K, MET) mean of what their walks met."""
 
 
 def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: float) -> Fan:
@@ -75,7 +77,7 @@ def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: flo
     along = angle.cos()[:, None] * e1 + angle.sin()[:, None] * e2  # (S, rays, 3)
     across = torch.linalg.cross(normal[:, None].expand_as(along), along)
     start, n, height, batch = (y.repeat_interleave(rays, 0) for y in (p, normal, height, shape))
-    at = Walked(*(in_columns(y) for y in (start, along.flatten(0, 1), n)))
+    at = Walked.starting(start, along.flatten(0, 1), n)
     stride = torch.full_like(height, REACH * radius / (LENGTHS * STEPS))
     length, parts = torch.zeros_like(height), []
     for i in range(1, LENGTHS * STEPS + 1):
@@ -83,8 +85,9 @@ def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: flo
         length = length + stride + height * turned
         if i % STEPS == 0:
             lifted = at.point + height * at.normal
-            parts.append(torch.cat((lifted, *at[1:], length), -1).view(len(p), rays, 10))
-    x, carried, n, length = torch.stack(parts, 2).split((3, 3, 3, 1), -1)  # (S, rays, LENGTHS, 3)
+            parts.append(torch.cat((lifted, at.vector, at.normal, length, at.met / i), -1))
+    parts = torch.stack(parts, 1).unflatten(0, (len(p), rays))  # (S, rays, LENGTHS, ...)
+    x, carried, n, length, met = parts.split((3, 3, 3, 1, MET), -1)
     x = x - p[:, None, None]
     side = torch.linalg.cross(n, carried)
     back = along[:, :, None, :, None] * carried[..., None, :]
@@ -94,7 +97,7 @@ def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: flo
     square = x.square().sum(-1, keepdim=True) + ABOVE * up.square()
     takes = -0.5 * (square + SHORTER * length.square())
     key = torch.cat((x + ABOVE * up * n, takes, -0.5 * ABOVE * through), -1)
-    values = torch.cat((back.flatten(-2), offset, length, through, x), -1)
+    values = torch.cat((back.flatten(-2), offset, length, through, x, met), -1)
     return Fan(key.flatten(1, 2), values.flatten(1, 2))
 
 
@@ -108,9 +111,9 @@ def log_on_fan(fan: Fan, x: Tensor) -> FanLog:
     query = torch.cat((x, torch.ones_like(x[..., :1]), products), -1) / WIDTH**2
     with torch.autocast(x.device.type, enabled=False):
         read = attention(query, fan.key, fan.values)
-    back, offset, length, normal, point = read.split((9, 3, 1, 6, 3), -1)
+    back, offset, length, normal, point, met = read.split((9, 3, 1, 6, 3, MET), -1)
     vector = (back.unflatten(-1, (3, 3)) * x[..., None, :]).sum(-1) + offset
-    return FanLog(vector, length, normal, x - point)
+    return FanLog(vector, length, normal, x - point, met)
 
 
 def attention(query: Tensor, key: Tensor, values: Tensor) -> Tensor:

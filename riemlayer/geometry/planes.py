@@ -23,10 +23,27 @@ FALLBACK = 2e-3
 """Weight of the coarse planes beside the fine ones; they alone count where those are missing."""
 FAR = 1e3
 """Where the plane of "no node" lies: nowhere near a query, so that its weight vanishes."""
+HALF_SUPPORT = 0.1
+"""Weight of the planes around a query that counts as half a support."""
 NOWHERE = 1e-10
 """Weight of the planes around a query below which there are none."""
 NO_PLANE = 1e-3
 """Second eigenvalue, in squared cells, below which a neighbourhood is a point or a line."""
+
+
+class Sight(NamedTuple):
+    """The blended plane at Q places, and how they lie to the sheet."""
+
+    normal: Tensor
+    """(Q, 3) unit normals."""
+    gap: Tensor
+    """(Q, 1) signed distances from the plane."""
+    support: Tensor
+    """(Q, 1) from 0, where there are no planes, to 1."""
+    beside: Tensor | None
+    """(Q, 3) where the place lies beside the mean of the centroids around it, within the plane:
+    small well inside a sheet; outside its rim it points away from it; 0 far from every node.
+    None: these planes' rims have no meaning."""
 
 
 class LocalPlanes(NamedTuple):
@@ -60,17 +77,17 @@ class LocalPlanes(NamedTuple):
         """
         return _plane_of(self._blended(x, batch, towards), towards)
 
-    def beside(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """`at`, and where `x` lies beside the mean of the centroids around it (Q, 3).
-
-        That offset is taken within the plane: small well inside a sheet, outside its rim it points
-        away from it. 0 far from every node.
-        """
-        sums = self._blended(x, batch, towards, offsets=True)
+    def look(self, x: Tensor, batch: Tensor, towards: Tensor) -> Sight:
+        """What a walk sees at `x` (Q, 3), coming with the normal `towards`."""
+        sums = self._blended(x, batch, towards, offsets=self.rims)
         normal, gap = _plane_of(sums[:5], towards)
         weight = sums[4]
+        support = (weight / (weight + HALF_SUPPORT))[:, None]
+        if not self.rims:
+            return Sight(normal, gap, support, None)
         offset = torch.where(weight > NOWHERE, sums[5:] / weight.clamp_min(NOWHERE), 0.0).T
-        return normal, gap, offset - (offset * normal).sum(-1, keepdim=True) * normal
+        beside = offset - (offset * normal).sum(-1, keepdim=True) * normal
+        return Sight(normal, gap, support, beside)
 
     def _blended(self, x: Tensor, batch: Tensor, towards: Tensor, offsets: bool = False) -> Tensor:
         """`Grids.blend` summed over the fine grids, and the coarse one where they have little."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.numerics import in_columns, normalise
@@ -17,6 +18,8 @@ RIM = 0.5
 sheet."""
 AHEAD = 1.5
 """Distance, in cells, at which it looks whether the sheet goes on."""
+MET = 4
+"""Channels of what a walk met."""
 STEEP = 0.1
 """Share of a chord's squared height that counts as length when its tangent part is stretched."""
 NEGLIGIBLE = 0.05
@@ -32,6 +35,15 @@ class Walked(NamedTuple):
     """(Q, 3) v carried along by parallel transport: |v| times the direction there."""
     normal: Tensor
     """(Q, 3) unit normal there; its sign is arbitrary at the start and kept along the walk."""
+    met: Tensor
+    """(Q, MET) what it met on its way, which says how far it can be trusted, without a gradient;
+    sums over its steps: distances from the planes ahead in cells, turning of the normal, support,
+    and turning back."""
+
+    @classmethod
+    def starting(cls, p: Tensor, v: Tensor, normal: Tensor) -> Walked:
+        """Before the first step."""
+        return cls(*(in_columns(y) for y in (p, v, normal)), p.new_zeros(len(p), MET))
 
 
 def walk(
@@ -68,7 +80,7 @@ def walk(
     negligible = (NEGLIGIBLE * planes.fine.level.cell_size) ** 2
     tilt = (normal * v).sum(-1, keepdim=True) / square.clamp_min(negligible)
     normal = normalise(normal - tilt * v)
-    at = Walked(*(in_columns(y) for y in (p, v, normal)))
+    at = Walked.starting(p, v, normal)
     rest = torch.ones_like(square)
     for left in range(steps, 0, -1):
         share = rest.clamp_min(0) / left
@@ -85,11 +97,13 @@ def advance(planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor) -> tu
     the surface bends away from the normal.
     """
     x = at.point + share * at.vector
-    ahead, gap, *beside = (planes.beside if planes.rims else planes.at)(x, batch, at.normal)
+    ahead, gap, support, beside = planes.look(x, batch, at.normal)
     turned = ((ahead - at.normal) * at.vector).sum(-1, keepdim=True)
     x = torch.addcmul(x, gap, ahead, value=-1)
-    there = Walked(x, turn(at.vector, at.normal, ahead), ahead)
-    return turn_back(planes, there, batch, share, *beside) if planes.rims else there, turned
+    off, cosine = gap.abs() / planes.fine.level.cell_size, (at.normal * ahead).sum(-1, keepdim=True)
+    met = torch.cat((off, 1 - cosine, support, torch.zeros_like(gap)), -1).detach()
+    there = Walked(x, turn(at.vector, at.normal, ahead), ahead, at.met + met)
+    return there if beside is None else turn_back(planes, there, batch, share, beside), turned
 
 
 def turn_back(
@@ -105,7 +119,7 @@ def turn_back(
     Args:
         planes, batch: as for `walk`.
         at: walks after a step by `share` of their vectors.
-        beside: (Q, 3) what `planes.beside` answers there.
+        beside: (Q, 3) see `Sight`.
     """
     cell = planes.fine.level.cell_size
     leaves = (beside * at.vector).sum(-1) > 0
@@ -113,12 +127,14 @@ def turn_back(
     rows = leaves.detach().nonzero().squeeze(-1)
     if not len(rows):
         return at
-    x, vector, normal, beside, share = (y[rows] for y in (*at, beside, share))
+    x, vector, normal, beside, share = (y[rows] for y in (*at[:3], beside, share))
     outward = normalise(beside)
     along = torch.linalg.cross(normal, outward)
     places = [x + cell * way for way in (AHEAD * outward, along, -along)]
     thrice = (y.repeat(3, *[1] * (y.ndim - 1)) for y in (batch[rows], normal))
-    further, *sides = planes.beside(torch.cat(places), *thrice)[2].chunk(3)
+    seen = planes.look(torch.cat(places), *thrice).beside
+    assert seen is not None  # rims have a meaning here
+    further, *sides = seen.chunk(3)
     found = [(y != 0).any(-1, keepdim=True) for y in (further, *sides)]
     ends = ~(found[0] & ((further * outward).sum(-1, keepdim=True) < AHEAD * cell))
     ends = ends.to(x.dtype)
@@ -131,6 +147,7 @@ def turn_back(
         at.point.index_add(0, rows, -2 * over * outward),
         at.vector.index_add(0, rows, -2 * speed * outward),
         at.normal.index_copy(0, rows, normal * (1 - 2 * ends)),
+        at.met.index_add(0, rows, F.pad(ends, (MET - 1, 0))),
     )
 
 

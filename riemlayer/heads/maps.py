@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.config import HeadConfig
-from riemlayer.geometry import LocalPlanes, fade_in, fan_of, lay_flat, log_on_fan, walk
+from riemlayer.geometry import MET, LocalPlanes, fade_in, fan_of, lay_flat, log_on_fan, walk
 from riemlayer.heads.branch import TRAINED, Embedding, Gate, MapHead, Prepared, read_narrow, sites
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import interpolate
@@ -14,8 +14,10 @@ from riemlayer.octree import interpolate
 NEAR, MIDDLE, BEYOND = 0.2, 0.4, 1.3
 """Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
 beyond which none again: no geodesic is shorter than its chord."""
-FAN = 13
-"""Channels that Log's decoder is told of a fan: 3 + 1 + 6 + 3."""
+WALK = 13 + MET
+"""Channels that Exp's decoder is told of a walk: 3 + 1 + 3 + 6, and what it met."""
+FAN = 13 + MET
+"""Channels that Log's decoder is told of a fan: 3 + 1 + 6 + 3, and what its walks met."""
 
 
 class ExpHead(MapHead):
@@ -32,7 +34,8 @@ class ExpHead(MapHead):
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         walks = len(config.walk_steps)
-        told = 1 + 25 * max(1, walks) + config.narrow + 3 * (walks > 0) if config.anchored else 0
+        told = 1 + (WALK + 12) * max(1, walks) + config.narrow + 3 * (walks > 0)
+        told = told if config.anchored else 0
         super().__init__(embedding, told, radius, config)
         self.gate = Gate(told, walks, lifts=walks > 0) if config.anchored else None
 
@@ -44,10 +47,10 @@ class ExpHead(MapHead):
         normal, height = field.planes.plane(p, shape)
         site, length = sites(field, p, normal, shape), safe_norm(v)
         told, ends, normals = [length / self.radius], [], []
-        for moved, turned, there in self.walks(field, p, v, shape, normal, height):
+        for moved, turned, there, met in self.walks(field, p, v, shape, normal, height):
             away = moved - (ends[0] if ends else v)
             bend = safe_norm(away) / (length + 0.01 * self.radius)
-            told += [away / self.radius, bend, turned / self.radius, outer6(there)]
+            told += [away / self.radius, bend, turned / self.radius, outer6(there), met]
             ends.append(moved)
             normals.append(there)
         told.append(read_narrow(field, p[:, None] + ends[0], shape))
@@ -64,17 +67,18 @@ class ExpHead(MapHead):
 
     def walks(
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, *plane: Tensor
-    ) -> list[tuple[Tensor, Tensor, Tensor]]:
-        """Of each walk: where it ends, v carried there, and the normal there (S, K, 3)."""
+    ) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
+        """Of each walk: where it ends, v carried there, the normal there (S, K, 3), and what it met
+        (S, K, MET), a step."""
         start, normal, height = (y.repeat_interleave(v.shape[1], 0) for y in (p, *plane))
         if not self.config.walk_steps:
-            return [(v, v, normal.view_as(v))]
+            return [(v, v, normal.view_as(v), v.new_zeros(*v.shape[:2], MET))]
         index = shape[:, None].expand(v.shape[:2]).flatten()
         walks = []
         for planes, steps in zip((field.planes, *field.finer), self.config.walk_steps, strict=True):
             end = walk(planes, start, v.flatten(0, 1), index, steps, (normal, height))
-            moved = end.point - start
-            walks.append(tuple(y.view_as(v) for y in (moved, end.vector, end.normal)))
+            parts = (end.point - start, end.vector, end.normal, end.met / steps)
+            walks.append(tuple(y.unflatten(0, v.shape[:2]) for y in parts))
         return walks
 
 
@@ -132,7 +136,8 @@ class LogHead(MapHead):
         read = log_on_fan(fan, chords)
         away = share * (read.vector - start)
         longer = read.length - safe_norm(read.vector)
-        told = torch.cat((longer / self.radius, read.normal, read.gap / self.radius), -1)
+        told = (longer / self.radius, read.normal, read.gap / self.radius, read.met)
+        told = torch.cat(told, -1)
         told = torch.cat((away / self.radius, share * told), -1)
         return flat.index_put(part, start + away), known.index_put(part, told)
 

@@ -53,7 +53,7 @@ def test_points_of_a_fan_lie_on_the_surface_at_their_distance():
     sphere = Sphere()
     p = fibonacci_sphere(30_000)[::1000]
     fan = fan_at(planes_of(fibonacci_sphere(30_000)), p)
-    q = p[:, None] + fan.values[..., 19:]
+    q = p[:, None] + fan.values[..., 19:22]
     assert float((q.norm(dim=-1) - 1).abs().max()) < 2e-3
     length = REACH * RADIUS * torch.arange(1, LENGTHS + 1, dtype=p.dtype) / LENGTHS
     walked = fan.values[..., 12].view(len(p), 48, LENGTHS)
@@ -76,7 +76,7 @@ def test_reading_is_a_softmax_of_affine_maps():
         for k in range(3):
             shares, logs = [], []
             for value in fan.values[s]:
-                away, (xx, yy, zz, xy, xz, yz) = x[s, k] - value[19:], value[13:19]
+                away, (xx, yy, zz, xy, xz, yz) = x[s, k] - value[19:22], value[13:19]
                 through = torch.stack((xx, xy, xz, xy, yy, yz, xz, yz, zz)).view(3, 3)
                 cost = away @ away + ABOVE * away @ through @ away + SHORTER * value[12] ** 2
                 shares.append(-cost / (2 * WIDTH**2))
@@ -86,7 +86,7 @@ def test_reading_is_a_softmax_of_affine_maps():
             torch.testing.assert_close(read.vector[s, k], log, rtol=0, atol=1e-9)
             length = (share * fan.values[s, :, 12]).sum()
             torch.testing.assert_close(read.length[s, k, 0], length, rtol=0, atol=1e-9)
-            gap = x[s, k] - (share[:, None] * fan.values[s, :, 19:]).sum(0)
+            gap = x[s, k] - (share[:, None] * fan.values[s, :, 19:22]).sum(0)
             torch.testing.assert_close(read.gap[s, k], gap, rtol=0, atol=1e-9)
 
 

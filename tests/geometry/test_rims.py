@@ -79,6 +79,27 @@ def test_across_a_gap_a_walk_goes_on(sheet):
     torch.testing.assert_close(go(split, p, v).point, p + v, rtol=0, atol=1e-6)
 
 
+def test_walks_say_what_they_met(sheet, turned):
+    """Nothing on a flat sheet; one turn at its rim; no support in the air; curvature."""
+    planes, steps = planes_of(sheet @ turned.T, 5), 16
+    p = torch.tensor([[0.35, 0.02, 0.0]], dtype=torch.float64) @ turned.T
+    away = torch.tensor([[0.35, 0.02, 0.0], [-0.4, 0.1, 0.0]], dtype=torch.float64) @ turned.T
+    at_rim, inside = (go(planes, p, v[None], steps).met[0] for v in away)
+    assert inside[:2].max() < 1e-6 and inside[2] > 0.7 * steps and inside[3] == 0
+    assert at_rim[3] == 1
+    up = (p + 0.5 * turned.T[2:]).contiguous()
+    lost = go(planes, up, away[:1], steps).met[0]
+    assert lost.abs().max() < 1e-6
+    n = fibonacci_sphere(10)
+    v = torch.linalg.cross(n, torch.randn_like(n))
+    v = 0.5 * v / v.norm(dim=-1, keepdim=True)
+    bent = go(planes_of(fibonacci_sphere(20_000)), n, v, steps).met
+    each = 1 - math.cos(0.5 / steps)
+    torch.testing.assert_close(
+        bent[:, 1], torch.full((10,), steps * each).double(), rtol=0.2, atol=0
+    )
+
+
 def slab(n: int = 90) -> Tensor:
     """Both sides of a thin square slab."""
     up = torch.tensor([0.0, 0.0, THICK / 2], dtype=torch.float64)
@@ -143,7 +164,7 @@ def test_rims_have_gradients_and_forward_mode_agrees(sheet):
     v = torch.tensor([[0.4, 0.05, 0.0], [0.38, -0.1, 0.02]], dtype=torch.float64)
 
     def end(p: Tensor, v: Tensor, points: Tensor) -> Tensor:
-        return torch.cat(go(planes_of(points, 4), p, v, 5), -1)
+        return torch.cat(go(planes_of(points, 4), p, v, 5)[:3], -1)
 
     assert float((end(p, v, points)[:, 0] - (p + v)[:, 0]).max()) < -0.1  # they were reflected
     arguments = [x.clone().requires_grad_() for x in (p, v, points)]
