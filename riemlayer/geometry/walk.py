@@ -16,8 +16,8 @@ ANCHOR = 0.3
 RIM = 0.5
 """Distance, in cells, beside the mean of the centroids around it from which on a walk has left a
 sheet."""
-AHEAD = 1.5
-"""Distance, in cells, at which it looks whether the sheet goes on."""
+AHEAD = (1.0, 2.0)
+"""Distances, in cells, at which it looks whether the sheet goes on."""
 MET = 4
 """Channels of what a walk met."""
 STEEP = 0.1
@@ -36,9 +36,8 @@ class Walked(NamedTuple):
     normal: Tensor
     """(Q, 3) unit normal there; its sign is arbitrary at the start and kept along the walk."""
     met: Tensor
-    """(Q, MET) what it met on its way, which says how far it can be trusted, without a gradient;
-    sums over its steps: distances from the planes ahead in cells, turning of the normal, support,
-    and turning back."""
+    """(Q, MET) what it met on its way, which says how far it can be trusted; sums over its steps:
+    distances from the planes ahead in cells, turning of the normal, support, and turning back."""
 
     @classmethod
     def starting(cls, p: Tensor, v: Tensor, normal: Tensor) -> Walked:
@@ -101,7 +100,7 @@ def advance(planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor) -> tu
     turned = ((ahead - at.normal) * at.vector).sum(-1, keepdim=True)
     x = torch.addcmul(x, gap, ahead, value=-1)
     off, cosine = gap.abs() / planes.fine.level.cell_size, (at.normal * ahead).sum(-1, keepdim=True)
-    met = torch.cat((off, 1 - cosine, support, torch.zeros_like(gap)), -1).detach()
+    met = torch.cat((off, 1 - cosine, support, torch.zeros_like(gap)), -1)
     there = Walked(x, turn(at.vector, at.normal, ahead), ahead, at.met + met)
     return there if beside is None else turn_back(planes, there, batch, share, beside), turned
 
@@ -128,17 +127,7 @@ def turn_back(
     if not len(rows):
         return at
     x, vector, normal, beside, share = (y[rows] for y in (*at[:3], beside, share))
-    outward = normalise(beside)
-    along = torch.linalg.cross(normal, outward)
-    places = [x + cell * way for way in (AHEAD * outward, along, -along)]
-    thrice = (y.repeat(3, *[1] * (y.ndim - 1)) for y in (batch[rows], normal))
-    seen = planes.look(torch.cat(places), *thrice).beside
-    assert seen is not None  # rims have a meaning here
-    further, *sides = seen.chunk(3)
-    found = [(y != 0).any(-1, keepdim=True) for y in (further, *sides)]
-    ends = ~(found[0] & ((further * outward).sum(-1, keepdim=True) < AHEAD * cell))
-    ends = ends.to(x.dtype)
-    beside = (beside + sides[0] + sides[1]) / (1.0 + found[1] + found[2])
+    beside, ends = _rim(planes, x, batch[rows], normal, beside)
     outward = normalise(beside)
     speed = ends * (vector * outward).sum(-1, keepdim=True).clamp_min(0)
     over = ((beside * outward).sum(-1, keepdim=True) - RIM * cell).clamp_min(0)
@@ -149,6 +138,30 @@ def turn_back(
         at.normal.index_copy(0, rows, normal * (1 - 2 * ends)),
         at.met.index_add(0, rows, F.pad(ends, (MET - 1, 0))),
     )
+
+
+def _rim(
+    planes: LocalPlanes, x: Tensor, batch: Tensor, normal: Tensor, beside: Tensor
+) -> tuple[Tensor, Tensor]:
+    """How far beside a sheet places `x` (R, 3) lie, and 1 (R, 1) where it ends there, else 0.
+
+    The first is a mean of what is seen there and to both sides along the rim: a few centroids alone
+    say little about the rim's direction.
+    """
+    cell, outward = planes.fine.level.cell_size, normalise(beside)
+    along = torch.linalg.cross(normal, outward)
+    places = [x + cell * way for way in (along, -along, *(k * outward for k in AHEAD))]
+    repeats = len(places)
+    seen = planes.look(torch.cat(places), batch.repeat(repeats), normal.repeat(repeats, 1)).beside
+    assert seen is not None  # rims have a meaning here
+    left, right, *ahead = seen.chunk(repeats)
+    goes_on = [
+        (y != 0).any(-1, keepdim=True) & ((y * outward).sum(-1, keepdim=True) < k * cell)
+        for k, y in zip(AHEAD, ahead, strict=True)
+    ]
+    ends = ~torch.stack(goes_on).any(0)
+    known = 1 + (left != 0).any(-1, keepdim=True).to(x.dtype) + (right != 0).any(-1, keepdim=True)
+    return (beside + left + right) / known, ends.to(x.dtype)
 
 
 def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:

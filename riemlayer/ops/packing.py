@@ -25,6 +25,7 @@ def packed(parts: list[tuple[Embedding, int]]) -> Embedding:
             _joined([x.fine for x in scale], octree),
             _joined([x.coarse for x in scale], octree),
             _joined([x.staggered for x in scale], other),
+            scale[0].rims,
         )
         for scale in scales
     )
