@@ -24,12 +24,12 @@ class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + t |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
     Walks over the cloud's planes are the priors: one over wide planes, which noise does not
-    disturb, one over planes of half the size, which see detail. By what the planes are like, a gate
-    decides between their ends, whether to lift them to the height that p has above its plane, as on
-    a shell around the cloud, and what the correction counts, t. f sees the triplane of z(p) at v,
-    the ends, directions and normals of the walks, the planes at p and the narrow embedding where
-    the first walk landed. Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it
-    is the paper's ExpNet, p + f(v).
+    disturb and which turns back at the rims of sheets, one over planes of half the size, which see
+    detail. By what the planes are like and what the walks met, a gate decides between their ends,
+    whether to lift them to the height that p has above its plane, as on a shell around the cloud,
+    and what the correction counts, t. f sees the triplane of z(p) at v, the same of the walks, the
+    planes at p and the narrow embedding where the first walk landed. Exp_p(0) = p and
+    d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet, p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
