@@ -23,10 +23,10 @@ REACH = 1.04
 WIDTH = 0.03
 """Distance in the cube over which a fan's points share in an answer: about their spacing at the
 rim, where two geodesics of a fan of 48 are 0.065 apart."""
-ABOVE = 8.0
+ABOVE = 3.0
 """What the square of a height above a point's plane counts more than one along it: it is what tells
 the two sides of a thin sheet apart."""
-SHORTER = 0.05
+SHORTER = 0.15
 """What a squared length counts beside a squared distance: of two sheets that are as near, the one
 that is reached sooner prevails."""
 
