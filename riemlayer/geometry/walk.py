@@ -42,7 +42,8 @@ class Walked(NamedTuple):
     @classmethod
     def starting(cls, p: Tensor, v: Tensor, normal: Tensor) -> Walked:
         """Before the first step."""
-        return cls(*(in_columns(y) for y in (p, v, normal)), p.new_zeros(len(p), MET))
+        p, v, normal = (in_columns(y) for y in (p, v, normal))
+        return cls(p, v, normal, p.new_zeros(len(p), MET))
 
 
 def walk(
