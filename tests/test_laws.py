@@ -135,8 +135,8 @@ def test_planes_which_the_prior_knows_are_not_forgotten(trained):
 @torch.no_grad()
 @pytest.mark.parametrize("surface", CURVED, ids=repr)
 def test_a_trained_field_comes_closer_to_the_closed_form(surface, trained, untrained):
-    """Exp by 78 % on the sphere; Log, which fans read well untrained, may lose a tenth: it loses 8 %
-    there, 0.0003 of the cube."""
+    """Exp by 78 % on the sphere; Log, which fans read well untrained, may lose a tenth: there it
+    loses 8 %, 0.0003 of the cube."""
     off = []
     for field in (trained, untrained):
         encoded, p, v, q = asked(field, surface)
