@@ -31,12 +31,12 @@ def grid(side: float, n: int) -> Tensor:
 
 @pytest.fixture(scope="module")
 def sheet() -> Tensor:
-    """Rotated so that nothing is aligned with the octree."""
     return grid(EDGE, 80)
 
 
 @pytest.fixture(scope="module")
 def turned() -> Tensor:
+    """A rotation, so that nothing is aligned with the octree."""
     generator = torch.Generator().manual_seed(3)
     q = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=generator))[0]
     return q * q.det().sign()
@@ -159,7 +159,7 @@ def test_at_a_height_a_walk_is_as_long_as_on_the_shell_there(height):
     assert float((unaware - exact).norm(dim=-1).min()) > 0.01
 
 
-def test_rims_have_gradients_and_forward_mode_agrees(sheet):
+def test_rims_have_gradients_and_forward_mode_agrees():
     """Reflections are differentiable: of the end in start, vector and cloud."""
     points = grid(0.5, 12) + 1e-3 * lumpy(144)
     p = torch.tensor([[0.31, 0.02, 0.001], [0.3, -0.11, 0.0]], dtype=torch.float64)
