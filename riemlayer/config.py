@@ -70,9 +70,9 @@ class HeadConfig:
     """Anchored residual maps, exact at the source (ours); False: the paper's plain decoder."""
     narrow: int = 32
     """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
-    walk_steps: tuple[int, ...] = (12, 16)
-    """Steps of the walked priors of Exp: over planes half as large as the leaves, a quarter as
-    large, and so on; (): straight (q = p + v), as in the paper."""
+    walk_steps: tuple[int, ...] = (12, 16, 6)
+    """Steps of the walked priors of Exp, up to three: over planes half as large as the leaves, a
+    quarter as large, and as large; (): straight (q = p + v), as in the paper."""
     fan_rays: int = 48
     """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: the chord alone."""
     decoder: str = "triplane"
@@ -87,10 +87,11 @@ class HeadConfig:
             raise ValueError("narrow and walk_steps refine the anchored maps: set anchored=True")
         if self.fan_rays < 0 or self.fan_rays in (1, 2):
             raise ValueError(f"fan_rays must be 0 or at least 3, got {self.fan_rays}")
-        if not isinstance(self.walk_steps, tuple) or any(n < 1 for n in self.walk_steps):
+        walks = self.walk_steps
+        if not isinstance(walks, tuple) or len(walks) > 3 or any(n < 1 for n in walks):
             raise ValueError(
-                "walk_steps must be a tuple of step numbers of at least 1, () for a straight "
-                f"prior, got {self.walk_steps!r}"
+                "walk_steps must be a tuple of at most three step numbers of at least 1, () for a "
+                f"straight prior, got {walks!r}"
             )
 
 
@@ -139,7 +140,12 @@ class FieldConfig:
         return cls(
             backbone,
             HeadConfig(
-                resolution=8, channels=4, hidden=48, narrow=8, walk_steps=(4, 8), fan_rays=12
+                resolution=8,
+                channels=4,
+                hidden=48,
+                narrow=8,
+                walk_steps=(4, 8, 4),
+                fan_rays=12,
             ),
         )
 

@@ -127,20 +127,21 @@ class ExpLogField(Pretrained, nn.Module):
                 "the packaged `base` is for clouds without"
             )
         scales = max(1, len(self.config.head.walk_steps))
+        wide = scales // 3  # the last of three walks sees wider planes than the first
         octree = build_octree(
             points,
             batch,
-            backbone.depth + scales,
-            coarsest=backbone.depth - len(backbone.encoder) + 1,
+            backbone.depth + scales - wide,
+            coarsest=backbone.depth - max(len(backbone.encoder) - 1, 1 + wide),
         )
         with self.half_precision():
-            planes = planes_at_scales(points, octree, scales, normals)
+            every = planes_at_scales(points, octree, scales, normals, rims=1 + wide)
+            planes, *others = every[wide:] + every[:wide]
             told = (normals,) if backbone.normals else ()
-            z = self.backbone(points, octree, planes[0], *told)
+            z = self.backbone(points, octree, planes, *told)
             narrow = None if self.narrow is None else self.narrow(z).to(points.dtype)
-        return Embedding(
-            z.to(points.dtype), narrow, octree.level(backbone.depth), planes[0], planes[1:]
-        )
+        level = octree.level(backbone.depth)
+        return Embedding(z.to(points.dtype), narrow, level, planes, tuple(others))
 
     def forward(
         self,

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from riemlayer import EncodedSurface, ExpLogField
+from riemlayer.geometry import LocalPlanes, Walked, local_planes, walk
 from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, decode_key
 
 # ------------------------------------------------------------------------------------ clouds
@@ -207,3 +208,14 @@ def finite(answer: Tensor | tuple) -> bool:
 def length(x: np.ndarray) -> np.ndarray:
     """Norms (...) of vectors (..., 3)."""
     return np.linalg.norm(x, axis=-1)
+
+
+def planes_of(points: Tensor, depth: int = 6) -> LocalPlanes:
+    """Planes of one cloud, the fine ones at `depth`."""
+    batch = torch.zeros(len(points), dtype=torch.long)
+    return local_planes(points, build_octree(points, batch, depth))
+
+
+def go(planes: LocalPlanes, p: Tensor, v: Tensor, steps: int = 8) -> Walked:
+    """A walk over the planes of one cloud."""
+    return walk(planes, p, v, torch.zeros(len(p), dtype=torch.long), steps)

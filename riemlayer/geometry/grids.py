@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from riemlayer.geometry.moments import NEGLIGIBLE
+from riemlayer.geometry.moments import NEGLIGIBLE, NEIGHBOURHOOD
 from riemlayer.numerics import segment_sum
 from riemlayer.octree import HALF_WIDTH, Level, corners
 from riemlayer.octree.interpolate import trilinear
@@ -27,6 +28,8 @@ class PlaneLevel(NamedTuple):
     given."""
     eigenvalues: Tensor
     """(n, 3) of the local covariance, ascending."""
+    around: Tensor
+    """(n,) points in the neighbourhood, weighted by a Gaussian: how dense the cloud is there."""
     other_side: Tensor
     """() what a plane counts whose normal points the other way: -1, for signs have no meaning; 0
     where they have one, so that the other side of a thin sheet is not seen."""
@@ -51,6 +54,13 @@ class PlaneLevel(NamedTuple):
     def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
         """Normal (Q, 3) of the nearest of the eight nodes around `x`; 0 where there is none."""
         return self.plane[3:, self.nearest_of_eight(x, batch)].T
+
+    def spacing(self, x: Tensor, batch: Tensor) -> Tensor:
+        """Distance (Q,) from point to point, in cells, if the nearest node's were a grid on a
+        sheet; no gradient. Infinite where there is no node.
+        """
+        around = F.pad(self.around.detach(), (0, 1))[self.nearest_of_eight(x, batch)]
+        return NEIGHBOURHOOD * (2 * math.pi / around).sqrt()
 
     def spectra(self, x: Tensor, batch: Tensor) -> Tensor:
         """Spread (Q, 6) of the cloud around `x` along its principal axes, in cells; no gradient.

@@ -164,7 +164,7 @@ def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
 
 
 def planes_at_scales(
-    points: Tensor, octree: Octree, scales: int, normals: Tensor | None = None
+    points: Tensor, octree: Octree, scales: int, normals: Tensor | None = None, rims: int = 1
 ) -> tuple[LocalPlanes, ...]:
     """Local planes at several scales, the coarsest first and the finest nodes' last (ours).
 
@@ -172,6 +172,7 @@ def planes_at_scales(
         points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
         scales: how many, each of half the cell size of the one before.
         normals: (N, 3) oriented unit normals of the points: they give the planes' normals a sign.
+        rims: at how many of the coarsest scales walks look for rims.
     """
     cell = octree.level(octree.depth).cell_size
     shift, edge = STAGGER * cell, HALF_WIDTH - 0.1 * cell
@@ -182,9 +183,10 @@ def planes_at_scales(
     every = _plane_levels(points, octree, scales, 0.0, normals)
     staggered = _plane_levels(points, other, scales - 1, shift, normals)
     pairs = zip(every, every[1:], staggered, strict=False)
-    finest_first = [LocalPlanes.of(*planes, rims=False) for planes in pairs]
-    widest = finest_first.pop()._replace(rims=True)
-    return (widest, *reversed(finest_first))
+    finest_first = [
+        LocalPlanes.of(*planes, rims=i >= scales - rims) for i, planes in enumerate(pairs)
+    ]
+    return tuple(reversed(finest_first))
 
 
 def _plane_levels(
@@ -222,7 +224,8 @@ def _plane_level(
     plane = torch.cat((moments.centroid, normal), -1)
     nowhere = plane.new_tensor([[FAR, 0, 0, 0, 0, 0]])
     plane = torch.cat((plane, nowhere)).T.contiguous()
-    return PlaneLevel(level, plane, eigenvalues, *eigenvalues.new_tensor([-1.0, shift]))
+    constants = eigenvalues.new_tensor([-1.0, shift])
+    return PlaneLevel(level, plane, eigenvalues, around.mass.squeeze(-1), *constants)
 
 
 def _settled(covariance: Tensor, cell_size: float) -> Tensor:

@@ -18,6 +18,8 @@ RIM = 0.5
 sheet."""
 AHEAD = (1.0, 2.0)
 """Distances, in cells, at which it looks whether the sheet goes on."""
+SPARSE = 0.6
+"""Spacing of the points, in coarse cells, from which on gaps between them look like rims."""
 MET = 4
 """Channels of what a walk met."""
 STEEP = 0.1
@@ -90,8 +92,13 @@ def walk(
     return at._replace(point=p + v + fade_in(square, planes) * (x - p - v))
 
 
-def advance(planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor) -> tuple[Walked, Tensor]:
+def advance(
+    planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor, halves: int = 2
+) -> tuple[Walked, Tensor]:
     """One step of a walk, by a share (Q, 1) of the carried vector.
+
+    A step that ends in the air, beyond all planes, is taken in `halves` instead, which land nearer
+    to the rim or the edge that it left.
 
     Also how the normal turned towards that vector (Q, 1): times |v| in radians, and above 0 where
     the surface bends away from the normal.
@@ -103,7 +110,18 @@ def advance(planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor) -> tu
     off, cosine = gap.abs() / planes.fine.level.cell_size, (at.normal * ahead).sum(-1, keepdim=True)
     met = torch.cat((off, 1 - cosine, support, torch.zeros_like(gap)), -1)
     there = Walked(x, turn(at.vector, at.normal, ahead), ahead, at.met + met)
-    return there if beside is None else turn_back(planes, there, batch, share, beside), turned
+    if beside is None:
+        return there, turned
+    there = turn_back(planes, there, batch, share, beside)
+    rows = (beside.detach() == 0).all(-1).nonzero().squeeze(-1)
+    if halves == 1 or not len(rows):
+        return there, turned
+    again, total = Walked(*(y[rows] for y in at)), torch.zeros_like(turned[rows])
+    for _ in range(halves):
+        again, bent = advance(planes, again, batch[rows], share[rows] / halves, halves=1)
+        total = total + bent
+    parts = (y.index_copy(0, rows, z) for y, z in zip(there, again, strict=True))
+    return Walked(*parts), turned.index_copy(0, rows, total)
 
 
 def turn_back(
@@ -125,6 +143,7 @@ def turn_back(
     leaves = (beside * at.vector).sum(-1) > 0
     leaves &= beside.square().sum(-1) > (RIM * cell) ** 2
     rows = leaves.detach().nonzero().squeeze(-1)
+    rows = rows[planes.coarse.spacing(at.point[rows], batch[rows]) < SPARSE]
     if not len(rows):
         return at
     x, vector, normal, beside, share = (y[rows] for y in (*at[:3], beside, share))

@@ -17,6 +17,10 @@ from riemlayer.octree import Level, interpolate_or_zero
 
 TRAINED = 1.06
 """Longest vectors of the training data, in radii."""
+HIGH = 0.1
+"""Height of a source above a plane, in cells, that counts as half of high."""
+SITE = 13
+"""Channels that the planes of each scale say at a source; one more of them all."""
 LIKELY = 2.0
 """Logit of the validity until it is trained: most queries within the radius are valid."""
 STEEPNESS = 50.0
@@ -32,14 +36,15 @@ class Embedding(NamedTuple):
     """(n, narrow) a few channels of them, read at end points."""
     level: Level
     planes: LocalPlanes
-    finer: tuple[LocalPlanes, ...] = ()
-    """Planes of half the size, a quarter, and so on, for further walks."""
+    """Half as large as the leaves."""
+    others: tuple[LocalPlanes, ...] = ()
+    """For further walks: a quarter as large, and as large."""
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Embedding:
         """The same with `change` applied to every tensor that depends on the cloud."""
         narrow = None if self.narrow is None else change(self.narrow)
-        planes, *finer = (x.map(change) for x in (self.planes, *self.finer))
-        return Embedding(change(self.z), narrow, self.level.map(change), planes, tuple(finer))
+        planes, *others = (x.map(change) for x in (self.planes, *self.others))
+        return Embedding(change(self.z), narrow, self.level.map(change), planes, tuple(others))
 
 
 class MapOutput(NamedTuple):
@@ -187,12 +192,21 @@ class Gate(nn.Module):
         return prior, trust
 
 
-def sites(field: Embedding, p: Tensor, normal: Tensor, shape: Tensor) -> Tensor:
-    """What the planes of every scale say at the sources (S, 12 scales): spectra and normals."""
-    parts = [field.planes.fine.spectra(p, shape), outer6(normal)]
-    for planes in field.finer:
-        parts += [planes.fine.spectra(p, shape), outer6(planes.normal(p, shape))]
-    return torch.cat(parts, -1)
+def sites(field: Embedding, p: Tensor, plane: tuple[Tensor, Tensor], shape: Tensor) -> Tensor:
+    """What the planes say at the sources (S, 13 scales + 1).
+
+    Of every scale the spectra, the normal and how high the source lies above the plane: over a hull
+    around the cloud far at every scale, over noise a little, at a sharp edge less the finer they
+    are. Then how dense the cloud is.
+    """
+    parts, heights = [], []
+    for i, planes in enumerate((field.planes, *field.others)):
+        normal, height = planes.plane(p, shape) if i else plane
+        square = height.square()
+        heights.append(square / (square + (HIGH * planes.fine.level.cell_size) ** 2))
+        parts += [planes.fine.spectra(p, shape), outer6(normal)]
+    dense = 1 / (1 + field.planes.fine.spacing(p, shape))[:, None]
+    return torch.cat((*parts, *heights, dense), -1)
 
 
 def read_narrow(field: Embedding, x: Tensor, shape: Tensor) -> Tensor:

@@ -7,7 +7,16 @@ from torch import Tensor
 
 from riemlayer.config import HeadConfig
 from riemlayer.geometry import MET, LocalPlanes, fade_in, fan_of, lay_flat, log_on_fan, walk
-from riemlayer.heads.branch import TRAINED, Embedding, Gate, MapHead, Prepared, read_narrow, sites
+from riemlayer.heads.branch import (
+    SITE,
+    TRAINED,
+    Embedding,
+    Gate,
+    MapHead,
+    Prepared,
+    read_narrow,
+    sites,
+)
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import interpolate
 
@@ -23,18 +32,19 @@ FAN = 13 + MET
 class ExpHead(MapHead):
     """Exp_p(v) = walk(p, v) + t |v| (f(v) - f(0)), with f told where the walk ended (ours).
 
-    Walks over the cloud's planes are the priors: one over wide planes, which noise does not
-    disturb and which turns back at the rims of sheets, one over planes of half the size, which see
-    detail. By what the planes are like and what the walks met, a gate decides between their ends,
-    whether to lift them to the height that p has above its plane, as on a shell around the cloud,
-    and what the correction counts, t. f sees the triplane of z(p) at v, the same of the walks, the
-    planes at p and the narrow embedding where the first walk landed. Exp_p(0) = p and
-    d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's ExpNet, p + f(v).
+    Walks over the cloud's planes are the priors: one over planes half as large as the leaves, which
+    turns back at the rims of sheets; one over finer planes, which see detail; one over wider ones,
+    which noise and gaps between points disturb less. By what the planes are like and what the walks
+    met, a gate decides between their ends, whether to lift them to the height that p has above its
+    plane, as on a shell around the cloud, and what the correction counts, t. f sees the triplane of
+    z(p) at v, the same of the walks, the planes at p and the narrow embedding where the first walk
+    landed. Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's
+    ExpNet, p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         walks = len(config.walk_steps)
-        told = 1 + (WALK + 12) * max(1, walks) + config.narrow + 3 * (walks > 0)
+        told = 2 + (WALK + SITE) * max(1, walks) + config.narrow + 3 * (walks > 0)
         told = told if config.anchored else 0
         super().__init__(embedding, told, radius, config)
         self.gate = Gate(told, walks, lifts=walks > 0) if config.anchored else None
@@ -44,8 +54,8 @@ class ExpHead(MapHead):
         if self.gate is None:
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
-        normal, height = field.planes.plane(p, shape)
-        site, length = sites(field, p, normal, shape), safe_norm(v)
+        normal, height = plane = field.planes.plane(p, shape)
+        site, length = sites(field, p, plane, shape), safe_norm(v)
         told, ends, normals = [length / self.radius], [], []
         for moved, turned, there, met in self.walks(field, p, v, shape, normal, height):
             away = moved - (ends[0] if ends else v)
@@ -74,8 +84,8 @@ class ExpHead(MapHead):
         if not self.config.walk_steps:
             return [(v, v, normal.view_as(v), v.new_zeros(*v.shape[:2], MET))]
         index = shape[:, None].expand(v.shape[:2]).flatten()
-        walks = []
-        for planes, steps in zip((field.planes, *field.finer), self.config.walk_steps, strict=True):
+        walks, scales = [], (field.planes, *field.others)
+        for planes, steps in zip(scales, self.config.walk_steps, strict=True):
             end = walk(planes, start, v.flatten(0, 1), index, steps, (normal, height))
             parts = (end.point - start, end.vector, end.normal, end.met / steps)
             walks.append(tuple(y.unflatten(0, v.shape[:2]) for y in parts))
@@ -95,7 +105,7 @@ class LogHead(MapHead):
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         scales = max(1, len(config.walk_steps))
         self.fans = len(config.walk_steps) if config.fan_rays else 0
-        told = 3 + FAN * self.fans + 2 * config.narrow + 12 * scales if config.anchored else 0
+        told = 4 + FAN * self.fans + 2 * config.narrow + SITE * scales if config.anchored else 0
         super().__init__(embedding, told, radius, config)
         self.gate = Gate(told, max(1, self.fans) - 1) if config.anchored else None
 
@@ -105,15 +115,15 @@ class LogHead(MapHead):
         if self.gate is None:
             return Prepared(z, x)
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
-        normal = field.planes.normal(p, shape)
-        flat = lay_flat(field.planes, normal, x)
+        plane = field.planes.plane(p, shape)
+        flat = lay_flat(field.planes, plane[0], x)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         told, priors = [(flat - x) / self.radius, *passed], []
-        for planes in (field.planes, *field.finer)[: self.fans]:
+        for planes in (field.planes, *field.others)[: self.fans]:
             fan, known = self.on_fan(planes, p, x, flat, shape)
             priors.append(fan)
             told.append(known)
-        site = sites(field, p, normal, shape)
+        site = sites(field, p, plane, shape)
         prior, trust = self.gate(priors or [flat], told, site)
         return Prepared(z, x, prior, tuple(told), site, trust)
 

@@ -15,12 +15,14 @@ from riemlayer.octree import Level, Octree, build_octree
 def packed(parts: list[tuple[Embedding, int]]) -> Embedding:
     """One batch of several, each with the number of its first cloud."""
     embeddings = [embedding for embedding, _ in parts]
-    scales = [*zip(*((x.planes, *x.finer) for x in embeddings), strict=True)]
-    first, coarsest = [i for _, i in parts], embeddings[0].level.depth
-    octree = _octree([x.fine.level for x in scales[-1]], first, coarsest)
-    other = _octree([x.staggered.level for x in scales[-1]], first, coarsest)
+    scales = [*zip(*((x.planes, *x.others) for x in embeddings), strict=True)]
+    first = [i for _, i in parts]
+    finest = max(scales, key=lambda scale: scale[0].fine.level.depth)
+    coarsest = min(scale[0].coarse.level.depth for scale in scales)
+    octree = _octree([x.fine.level for x in finest], first, coarsest)
+    other = _octree([x.staggered.level for x in finest], first, coarsest)
     narrow = [x.narrow for x in embeddings if x.narrow is not None]
-    planes, *finer = (
+    planes, *others = (
         LocalPlanes.of(
             _joined([x.fine for x in scale], octree),
             _joined([x.coarse for x in scale], octree),
@@ -34,7 +36,7 @@ def packed(parts: list[tuple[Embedding, int]]) -> Embedding:
         narrow=torch.cat(narrow) if narrow else None,
         level=octree.level(embeddings[0].level.depth),
         planes=planes,
-        finer=tuple(finer),
+        others=tuple(others),
     )
 
 
@@ -55,5 +57,6 @@ def _joined(levels: Sequence[PlaneLevel], octree: Octree) -> PlaneLevel:
         octree.level(levels[0].level.depth),
         torch.cat(rows, 1),
         torch.cat([x.eigenvalues for x in levels]),
-        *levels[0][3:],
+        torch.cat([x.around for x in levels]),
+        *levels[0][4:],
     )

@@ -2,20 +2,14 @@
 
 import pytest
 import torch
-from references import fibonacci_sphere, lumpy
+from references import fibonacci_sphere, lumpy, planes_of
 from torch import Tensor
 
 from riemlayer.data.closed_form import Cylinder, Sphere
-from riemlayer.geometry import Fan, LocalPlanes, fan_of, lay_flat, local_planes, log_on_fan
+from riemlayer.geometry import Fan, LocalPlanes, fan_of, lay_flat, log_on_fan
 from riemlayer.geometry.fan import ABOVE, LENGTHS, REACH, SHORTER, WIDTH
-from riemlayer.octree import build_octree
 
 RADIUS = 0.5
-
-
-def planes_of(points: Tensor, depth: int = 6) -> LocalPlanes:
-    batch = torch.zeros(len(points), dtype=torch.long)
-    return local_planes(points, build_octree(points, batch, depth))
 
 
 def fan_at(planes: LocalPlanes, p: Tensor, rays: int = 48) -> Fan:

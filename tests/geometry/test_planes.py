@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from references import fibonacci_sphere, lumpy
+from references import fibonacci_sphere, lumpy, planes_of
 from torch import Tensor
 
 from riemlayer.geometry import LocalPlanes, local_planes, planes_at_scales
@@ -10,11 +10,6 @@ from riemlayer.geometry.grids import BLEND
 from riemlayer.octree import build_octree, corners
 
 UP = torch.tensor([0.0, 0, 1], dtype=torch.float64)
-
-
-def planes_of(points: Tensor, depth: int = 5) -> LocalPlanes:
-    batch = torch.zeros(len(points), dtype=torch.long)
-    return local_planes(points, build_octree(points, batch, depth))
 
 
 def at(planes: LocalPlanes, x: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
@@ -31,7 +26,7 @@ def tilted_plane(n: int = 4000) -> tuple[Tensor, Tensor]:
 
 def test_planes_of_a_plane_are_that_plane():
     points, normal = tilted_plane()
-    planes = planes_of(points)
+    planes = planes_of(points, 5)
     found = planes.fine.plane[3:, :-1].T
     torch.testing.assert_close((found @ normal).abs(), torch.ones(len(found)).double())
     height = 0.02 * torch.randn(200, 1, dtype=torch.float64)
@@ -42,7 +37,7 @@ def test_planes_of_a_plane_are_that_plane():
 
 def test_normals_of_a_sphere_are_radial():
     points = fibonacci_sphere(8000)
-    normal, gap = planes_of(points).at(points, torch.zeros(8000).long(), points)
+    normal, gap = planes_of(points, 5).at(points, torch.zeros(8000).long(), points)
     assert ((normal * points).sum(-1) > 0.999).all()
     assert gap.abs().max() < 0.01  # a fifth of the sagitta of a cell
 
@@ -57,7 +52,7 @@ def test_normals_get_better_as_cells_shrink():
 
 
 def test_normals_take_the_sign_that_is_asked_for():
-    planes, x = planes_of(fibonacci_sphere(4000)), fibonacci_sphere(100)
+    planes, x = planes_of(fibonacci_sphere(4000), 5), fibonacci_sphere(100)
     normal, gap = at(planes, 1.01 * x, x)
     inward, other = at(planes, 1.01 * x, -x)
     torch.testing.assert_close(inward, -normal)
@@ -75,7 +70,7 @@ def test_normals_of_noisy_walls_do_not_cancel(axis):
 
 
 def test_stored_signs_have_no_meaning():
-    planes, x = planes_of(fibonacci_sphere(2000)), fibonacci_sphere(100)
+    planes, x = planes_of(fibonacci_sphere(2000), 5), fibonacci_sphere(100)
     fine = planes.fine
     sign = torch.randint(0, 2, (fine.plane.shape[1],)) * 2 - 1
     flipped = planes._replace(
@@ -92,7 +87,7 @@ def test_stored_signs_have_no_meaning():
 
 
 def test_far_from_every_point_there_is_no_plane():
-    planes = planes_of(0.3 * fibonacci_sphere(500))
+    planes = planes_of(0.3 * fibonacci_sphere(500), 5)
     far, shape = torch.tensor([[0.9, 0.9, 0.9], [0.0, 0, 0]]).double(), torch.tensor([0, 0])
     towards = torch.tensor([0.6, 0.8, 0.0]).double()
     normal, gap = at(planes, far, towards)
@@ -104,7 +99,7 @@ def test_far_from_every_point_there_is_no_plane():
 def test_sheets_three_cells_apart_do_not_mix():
     """Just outside one of them, the distance is measured from it."""
     flat = (torch.rand(8000, 3, dtype=torch.float64) - 0.5) * torch.tensor([1.0, 1, 0])
-    planes = planes_of(torch.cat((flat, flat + 0.2 * UP)))  # cells of 0.066
+    planes = planes_of(torch.cat((flat, flat + 0.2 * UP)), 5)  # cells of 0.066
     for sheet in (flat[:200], flat[:200] + 0.2 * UP):
         _, gap = at(planes, sheet + 0.01 * UP, UP)
         torch.testing.assert_close(gap, torch.full_like(gap, 0.01), rtol=0, atol=2e-4)
@@ -116,7 +111,7 @@ def test_clouds_of_few_points_have_settled_planes(spread):
     points = torch.randn(12, 3, dtype=torch.float64) * 0.05 * torch.tensor(spread).double()
     points = points + torch.tensor([0.21, 0.31, 0.41]).double()
     shift = 2.125 / 8
-    here, there = planes_of(points), planes_of(points - shift)
+    here, there = planes_of(points, 5), planes_of(points - shift, 5)
     for a, b in zip(here[:3], there[:3], strict=True):
         moved = b.plane[:, :-1].T + torch.tensor([shift] * 3 + [0.0] * 3)
         torch.testing.assert_close(moved, a.plane[:, :-1].T, rtol=0, atol=1e-9)
@@ -128,7 +123,7 @@ def test_degenerate_clouds_have_finite_planes_and_gradients(dtype):
     line = torch.linspace(-1, 1, 40, dtype=dtype)[:, None] * torch.tensor([1.0, 0, 0], dtype=dtype)
     far = torch.tensor([[0.9, 0.9, 0.9], [0.9, 0.9, 0.9]], dtype=dtype)
     points = torch.cat((line, far)).requires_grad_()
-    planes = planes_of(points)
+    planes = planes_of(points, 5)
     x = torch.cat((line + 0.01, far, torch.zeros(3, 3, dtype=dtype)))
     normal, gap = at(planes, x, UP.to(dtype))
     assert normal.isfinite().all() and gap.isfinite().all()
@@ -140,10 +135,10 @@ def test_point_features_have_no_units_and_no_position():
     points = lumpy(400)
     shift = 2.125 / 32  # a cell
     leaf = build_octree(points, torch.zeros(400, dtype=torch.long), 5).leaf
-    a = planes_of(points).point_features(points, leaf)
+    a = planes_of(points, 5).point_features(points, leaf)
     moved = points + torch.tensor([shift, -shift, 0]).double() * 2
     leaf = build_octree(moved, torch.zeros(400, dtype=torch.long), 5).leaf
-    b = planes_of(moved).point_features(moved, leaf)
+    b = planes_of(moved, 5).point_features(moved, leaf)
     torch.testing.assert_close(a, b, rtol=0, atol=1e-8)
     assert a.shape == (400, 11)
 

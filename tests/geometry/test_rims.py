@@ -4,23 +4,13 @@ import math
 
 import pytest
 import torch
-from references import fibonacci_sphere, lumpy
+from references import fibonacci_sphere, go, lumpy, planes_of
 from torch import Tensor
 
-from riemlayer.geometry import LocalPlanes, Walked, fan_of, local_planes, log_on_fan, walk
-from riemlayer.geometry.walk import RIM
-from riemlayer.octree import build_octree
+from riemlayer.geometry import fan_of, log_on_fan
+from riemlayer.geometry.walk import RIM, SPARSE
 
 EDGE = 0.5
-
-
-def planes_of(points: Tensor, depth: int = 6) -> LocalPlanes:
-    batch = torch.zeros(len(points), dtype=torch.long)
-    return local_planes(points, build_octree(points, batch, depth))
-
-
-def go(planes: LocalPlanes, p: Tensor, v: Tensor, steps: int = 16) -> Walked:
-    return walk(planes, p, v, torch.zeros(len(p), dtype=torch.long), steps)
 
 
 def grid(side: float, n: int) -> Tensor:
@@ -52,13 +42,13 @@ def test_at_the_rim_of_a_sheet_a_walk_is_reflected_and_turned_over(sheet, turned
     y = torch.linspace(-0.2, 0.2, 9, dtype=torch.float64)[:, None]
     p = torch.cat((torch.full_like(y, 0.35), y, torch.zeros_like(y)), -1)
     v = torch.tensor([[0.35, 0.1, 0.0]], dtype=torch.float64).expand(9, 3)
-    end = go(planes, p @ turned.T, v @ turned.T)
+    end = go(planes, p @ turned.T, v @ turned.T, 16)
     cell = planes.fine.level.cell_size
     assert ((end.point @ turned - reflected(p + v)).norm(dim=-1) < 2 * RIM * cell).all()
     back = v * torch.tensor([-1.0, 1, 1])
     torch.testing.assert_close(end.vector @ turned, back, rtol=0, atol=0.1)
     torch.testing.assert_close(end.vector.norm(dim=-1), v.norm(dim=-1))
-    start = go(planes, p @ turned.T, 0.1 * v @ turned.T).normal
+    start = go(planes, p @ turned.T, 0.1 * v @ turned.T, 16).normal
     torch.testing.assert_close(end.normal, -start)
 
 
@@ -66,7 +56,34 @@ def test_without_rims_a_walk_leaves_the_sheet_straight(sheet):
     planes = planes_of(sheet, 5)._replace(rims=False)
     p = torch.tensor([[0.4, 0.0, 0.0]], dtype=torch.float64)
     v = torch.tensor([[0.4, 0.1, 0.0]], dtype=torch.float64)
-    torch.testing.assert_close(go(planes, p, v).point, p + v, rtol=0, atol=1e-9)
+    torch.testing.assert_close(go(planes, p, v, 16).point, p + v, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("n, turns", [(60, True), (8, False)])
+def test_gaps_of_a_sparse_cloud_are_no_rims(n, turns):
+    """Between points further apart than `SPARSE` allows a walk goes on."""
+    sheet = grid(EDGE, n)
+    planes = planes_of(sheet, 5)
+    spacing = 2 * EDGE / n / planes.coarse.level.cell_size
+    assert (spacing < SPARSE) == turns
+    middle, shape = 0.2 * sheet, torch.zeros(len(sheet), dtype=torch.long)
+    found = planes.coarse.spacing(middle, shape)
+    torch.testing.assert_close(found.mean().item(), spacing, rtol=0.2, atol=0)
+    p = torch.tensor([[0.35, 0.0, 0.0]], dtype=torch.float64)
+    end = go(planes, p, torch.tensor([[0.3, 0.02, 0.0]], dtype=torch.float64), 16)
+    assert bool(end.met[0, 3]) == turns
+    assert planes.coarse.spacing(p + 9, shape[:1]).isinf().all()
+
+
+def test_a_step_that_lands_in_the_air_is_taken_in_halves(sheet):
+    """It ends three cells beyond the rim, its first half one cell beyond."""
+    planes = planes_of(sheet, 5)
+    p = torch.tensor([[0.45, 0.01, 0.0], [0.45, -0.2, 0.0]], dtype=torch.float64)
+    v = torch.tensor([[0.25, 0.0, 0.0]], dtype=torch.float64).expand(2, 3)
+    batch = torch.zeros(2, dtype=torch.long)
+    assert (planes.look(p + v, batch, torch.zeros_like(p)).beside == 0).all()
+    end = go(planes, p, v, 1).point
+    torch.testing.assert_close(end, reflected(p + v), rtol=0, atol=2 * RIM * 0.06)
 
 
 def test_across_a_gap_a_walk_goes_on(sheet):
@@ -76,7 +93,7 @@ def test_across_a_gap_a_walk_goes_on(sheet):
     split = planes_of(sheet[(sheet[:, 0] - 0.1).abs() > 0.4 * cell], 5)
     p = torch.tensor([[-0.1, 0.013, 0.0], [-0.1, 0.2, 0.0]], dtype=torch.float64)
     v = torch.tensor([[0.4, 0.05, 0.0]], dtype=torch.float64).expand(2, 3)
-    torch.testing.assert_close(go(split, p, v).point, p + v, rtol=0, atol=1e-6)
+    torch.testing.assert_close(go(split, p, v, 16).point, p + v, rtol=0, atol=1e-6)
 
 
 def test_walks_say_what_they_met(sheet, turned):
@@ -125,7 +142,7 @@ def test_round_the_edge_of_a_thin_slab():
     height = planes.plane(p, batch)[1]
     ends = []
     for rims in (True, False):
-        end = go(planes._replace(rims=rims), p, v)
+        end = go(planes._replace(rims=rims), p, v, 16)
         ends.append((end.point + height * end.normal - exact).norm(dim=-1).mean())
     assert ends[0] < 0.05 and ends[0] < ends[1] / 6, ends
 

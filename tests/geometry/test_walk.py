@@ -5,22 +5,13 @@ import math
 
 import pytest
 import torch
-from references import fibonacci_sphere, lumpy
+from references import fibonacci_sphere, go, lumpy, planes_of
 from torch import Tensor
 
 from riemlayer.data.closed_form import Cylinder, Sphere
-from riemlayer.geometry import Walked, lay_flat, local_planes, turn, walk
+from riemlayer.geometry import lay_flat, local_planes, turn, walk
 from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.octree import build_octree
-
-
-def planes_of(points: Tensor, depth: int = 6) -> LocalPlanes:
-    batch = torch.zeros(len(points), dtype=torch.long)
-    return local_planes(points, build_octree(points, batch, depth))
-
-
-def go(planes: LocalPlanes, p: Tensor, v: Tensor, steps: int = 8) -> Walked:
-    return walk(planes, p, v, torch.zeros(len(p), dtype=torch.long), steps)
 
 
 def tangents(n: Tensor, length: float) -> Tensor:

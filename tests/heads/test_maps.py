@@ -2,17 +2,18 @@
 
 import pytest
 import torch
-from references import encoded, lumpy, shaken
+from references import encoded, fibonacci_sphere, lumpy, shaken
 
 from riemlayer import ExpLogField
 from riemlayer.config import FieldConfig, HeadConfig
 from riemlayer.heads import MapOutput
-from riemlayer.heads.branch import TRAINED, Gate, read_narrow
+from riemlayer.heads.branch import SITE, TRAINED, Gate, read_narrow, sites
 from riemlayer.heads.maps import BEYOND, MIDDLE, NEAR, fan_share
 
 HEADS = {
     "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4,)),
     "walked twice": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8)),
+    "three": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8, 3)),
     "straight": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=()),
     "told nothing": HeadConfig(resolution=8, channels=4, hidden=32, narrow=0, walk_steps=()),
 }
@@ -88,6 +89,27 @@ def test_a_correction_that_is_not_trusted_leaves_the_prior(which):
         embedding = field.embed(points, torch.zeros(300, dtype=torch.long))
         found = head.prepare(embedding, points[:5], points[:5, None] + 0.1, shape)
         torch.testing.assert_close(head.answer(*found).vector, found.prior)
+
+
+def test_what_is_told_of_sources_says_how_high_they_are_and_how_dense_the_cloud_is():
+    """Nothing on the points of a sphere; more the higher; on either side; more of more points."""
+    field, shape = field_with(HEADS["three"]), torch.zeros(20, dtype=torch.long)
+    dense = []
+    for n in (1000, 4000):
+        points = 0.9 * fibonacci_sphere(n)
+        embedding = field.embed(points, torch.zeros(n, dtype=torch.long))
+        seen = []
+        for height in (0.001, 0.01, 0.05, -0.05):
+            p = points[:: n // 20] * (1 + height / 0.9)
+            site = sites(embedding, p, embedding.planes.plane(p, shape), shape)
+            assert site.shape[-1] == 3 * SITE + 1
+            seen.append(site[:, -4:-1])
+            dense.append(float(site[:, -1].detach().mean()))
+        low, middle, high, below = (x.detach()[:, ::2] for x in seen)  # fine planes have gaps
+        assert (low < middle).all() and (middle < high).all() and (high < 1).all()
+        assert (high[:, 0] > high[:, 1]).all()  # in cells the same height is less
+        assert (below > middle).all()
+    assert min(dense[4:]) > max(dense[:4])
 
 
 @pytest.mark.parametrize("height", [-0.02, 0.02])
