@@ -16,8 +16,6 @@ from riemlayer.numerics import outer6
 
 LENGTHS = 8
 """Points kept along each geodesic of a fan."""
-STEPS = 2
-"""Steps of the walk from one of them to the next."""
 REACH = 1.04
 """Length of a fan's geodesics, in trained radii."""
 WIDTH = 0.03
@@ -57,7 +55,9 @@ class FanLog(NamedTuple):
     """(S, K, MET) mean of what their walks met."""
 
 
-def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: float) -> Fan:
+def fan_of(
+    planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: float, steps: int = 16
+) -> Fan:
     """Walk from each source along `rays` directions, and keep `LENGTHS` points of each geodesic.
 
     Around a point x_i = Exp_p(v_i) the log map is v_i plus the tangent part of x - x_i, carried
@@ -70,6 +70,7 @@ def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: flo
         shape: (S,) int64, shape of each source.
         rays: number of geodesics.
         radius: trained radius; they are `REACH` times as long.
+        steps: of their walks, at least; as many from each point that is kept to the next.
     """
     normal, height = planes.plane(p, shape)
     angle = torch.arange(rays, dtype=p.dtype, device=p.device) * (2 * math.pi / rays)
@@ -78,12 +79,13 @@ def fan_of(planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: flo
     across = torch.linalg.cross(normal[:, None].expand_as(along), along)
     start, n, height, batch = (y.repeat_interleave(rays, 0) for y in (p, normal, height, shape))
     at = Walked.starting(start, along.flatten(0, 1), n)
-    stride = torch.full_like(height, REACH * radius / (LENGTHS * STEPS))
+    each = math.ceil(steps / LENGTHS)
+    stride = torch.full_like(height, REACH * radius / (LENGTHS * each))
     length, parts = torch.zeros_like(height), []
-    for i in range(1, LENGTHS * STEPS + 1):
+    for i in range(1, LENGTHS * each + 1):
         at, turned = advance(planes, at, batch, stride)
         length = length + stride + height * turned
-        if i % STEPS == 0:
+        if i % each == 0:
             lifted = at.point + height * at.normal
             parts.append(torch.cat((lifted, at.vector, at.normal, length, at.met / i), -1))
     parts = torch.stack(parts, 1).unflatten(0, (len(p), rays))  # (S, rays, LENGTHS, ...)

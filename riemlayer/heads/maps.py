@@ -20,7 +20,7 @@ from riemlayer.heads.branch import (
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import interpolate
 
-NEAR, MIDDLE, BEYOND = 0.2, 0.4, 1.3
+NEAR, MIDDLE, BEYOND = 0.02, 0.1, 1.3
 """Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
 beyond which none again: no geodesic is shorter than its chord."""
 WALK = 13 + MET
@@ -95,9 +95,9 @@ class ExpHead(MapHead):
 class LogHead(MapHead):
     """Log_p(q) = prior(x) + t |x| (h(x) - h(0)) with x = q - p (ours).
 
-    Near p the prior lays the chord flat on the tangent plane of the cloud. Further away it is read
-    from fans of geodesics, walked from p over the same planes as those of Exp; a gate decides
-    between them, and what the correction counts, t. h sees the triplane of z(p) at x, the priors,
+    A first prior lays the chord flat on the tangent plane of the cloud. Others, which agree with it
+    close to p, are read from fans of geodesics, walked from p over the same planes as those of Exp.
+    A gate decides between them, and what the correction counts, t. h sees the triplane of z(p) at x, the priors,
     the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by
     construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
@@ -107,7 +107,7 @@ class LogHead(MapHead):
         self.fans = len(config.walk_steps) if config.fan_rays else 0
         told = 4 + FAN * self.fans + 2 * config.narrow + SITE * scales if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, max(1, self.fans) - 1) if config.anchored else None
+        self.gate = Gate(told, self.fans) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -118,17 +118,18 @@ class LogHead(MapHead):
         plane = field.planes.plane(p, shape)
         flat = lay_flat(field.planes, plane[0], x)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
-        told, priors = [(flat - x) / self.radius, *passed], []
-        for planes in (field.planes, *field.others)[: self.fans]:
-            fan, known = self.on_fan(planes, p, x, flat, shape)
+        told, priors = [(flat - x) / self.radius, *passed], [flat]
+        scales = (field.planes, *field.others)[: self.fans]
+        for planes, steps in zip(scales, self.config.walk_steps, strict=False):
+            fan, known = self.on_fan(planes, steps, p, x, flat, shape)
             priors.append(fan)
             told.append(known)
         site = sites(field, p, plane, shape)
-        prior, trust = self.gate(priors or [flat], told, site)
+        prior, trust = self.gate(priors, told, site)
         return Prepared(z, x, prior, tuple(told), site, trust)
 
     def on_fan(
-        self, planes: LocalPlanes, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor
+        self, planes: LocalPlanes, steps: int, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Logs on the fans of one scale (S, K, 3), and what is told of them (S, K, FAN).
 
@@ -140,7 +141,7 @@ class LogHead(MapHead):
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        fan = fan_of(planes, p[rows], shape[rows], self.config.fan_rays, self.radius)
+        fan = fan_of(planes, p[rows], shape[rows], self.config.fan_rays, self.radius, steps)
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)
