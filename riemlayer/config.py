@@ -71,8 +71,8 @@ class HeadConfig:
     narrow: int = 32
     """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
     walk_steps: tuple[int, ...] = (12, 24, 6)
-    """Steps of the walked priors of both maps, up to three: over planes half as large as the leaves, a
-    quarter as large, and as large; (): straight (q = p + v), as in the paper."""
+    """Steps of the walks that both maps start from, up to three: over planes half as large as the
+    leaves, a quarter as large, and as large; (): straight (q = p + v), as in the paper."""
     fan_rays: int = 48
     """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: the chord alone."""
     decoder: str = "triplane"

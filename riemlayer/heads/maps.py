@@ -97,9 +97,9 @@ class LogHead(MapHead):
 
     A first prior lays the chord flat on the tangent plane of the cloud. Others, which agree with it
     close to p, are read from fans of geodesics, walked from p over the same planes as those of Exp.
-    A gate decides between them, and what the correction counts, t. h sees the triplane of z(p) at x, the priors,
-    the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by
-    construction. With `anchored=False` it is the paper's LogNet: v = h(x).
+    A gate decides between them, and what the correction counts, t. h sees the triplane of z(p) at
+    x, the priors, the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and
+    d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
