@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 BACKBONES = ("octree", "pointnet")
+SCALES, WALKS = 3, 4
+"""Most walks over planes, and most walks: the last one is on a shell."""
 DECODERS = ("triplane", "siren")
 
 
@@ -70,9 +72,10 @@ class HeadConfig:
     """Anchored residual maps, exact at the source (ours); False: the paper's plain decoder."""
     narrow: int = 32
     """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
-    walk_steps: tuple[int, ...] = (12, 24, 6)
-    """Steps of the walks that both maps start from, up to three: over planes half as large as the
-    leaves, a quarter as large, and as large; (): straight (q = p + v), as in the paper."""
+    walk_steps: tuple[int, ...] = (12, 24, 6, 32)
+    """Steps of the walks that both maps start from, up to four: over planes half as large as the
+    leaves, a quarter as large, and as large; on the shell that a source beside the cloud lies on;
+    (): straight (q = p + v), as in the paper."""
     fan_rays: int = 48
     """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: the chord alone."""
     decoder: str = "triplane"
@@ -88,9 +91,9 @@ class HeadConfig:
         if self.fan_rays < 0 or self.fan_rays in (1, 2):
             raise ValueError(f"fan_rays must be 0 or at least 3, got {self.fan_rays}")
         walks = self.walk_steps
-        if not isinstance(walks, tuple) or len(walks) > 3 or any(n < 1 for n in walks):
+        if not isinstance(walks, tuple) or len(walks) > WALKS or any(n < 1 for n in walks):
             raise ValueError(
-                "walk_steps must be a tuple of at most three step numbers of at least 1, () for a "
+                "walk_steps must be a tuple of at most four step numbers of at least 1, () for a "
                 f"straight prior, got {walks!r}"
             )
 
@@ -144,7 +147,7 @@ class FieldConfig:
                 channels=4,
                 hidden=48,
                 narrow=8,
-                walk_steps=(4, 8, 4),
+                walk_steps=(4, 8, 4, 8),
                 fan_rays=12,
             ),
         )

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from riemlayer import checks
 from riemlayer.backbone import make_backbone
-from riemlayer.config import FieldConfig
+from riemlayer.config import SCALES, FieldConfig
 from riemlayer.geometry import planes_at_scales
 from riemlayer.heads import Embedding, ExpHead, LogHead
 from riemlayer.octree import build_octree
@@ -126,8 +126,8 @@ class ExpLogField(Pretrained, nn.Module):
                 "`normals` must be given: this field was made for clouds with oriented normals; "
                 "the packaged `base` is for clouds without"
             )
-        scales = max(1, len(self.config.head.walk_steps))
-        wide = scales // 3  # the last of three walks sees wider planes than the first
+        scales = min(max(1, len(self.config.head.walk_steps)), SCALES)
+        wide = scales // SCALES  # the last of them are wider than the first
         octree = build_octree(
             points,
             batch,

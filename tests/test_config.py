@@ -53,8 +53,8 @@ def test_contradictory_backbones_raise(changes, words):
         ({"layers": 1}, "layers must be at least 2, got 1"),
         ({"anchored": False}, "set anchored=True"),
         ({"anchored": False, "walk_steps": ()}, "set anchored=True"),
-        ({"walk_steps": 8}, "tuple of at most three step numbers"),
-        ({"walk_steps": (8, 8, 8, 8)}, "at most three"),
+        ({"walk_steps": 8}, "tuple of at most four step numbers"),
+        ({"walk_steps": (8, 8, 8, 8, 8)}, "at most four"),
         ({"walk_steps": (8, 0)}, r"at least 1.*got \(8, 0\)"),
     ],
 )

@@ -3,6 +3,7 @@
 from riemlayer.geometry.fan import Fan, FanLog, fan_of, log_on_fan
 from riemlayer.geometry.frames import angle_of, frame_of, nearest_isometry
 from riemlayer.geometry.planes import LocalPlanes, local_planes, planes_at_scales
+from riemlayer.geometry.shell import Shell, on_shell
 from riemlayer.geometry.walk import MET, Walked, fade_in, lay_flat, turn, walk
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "Fan",
     "FanLog",
     "LocalPlanes",
+    "Shell",
     "Walked",
     "angle_of",
     "fade_in",
@@ -19,6 +21,7 @@ __all__ = [
     "local_planes",
     "log_on_fan",
     "nearest_isometry",
+    "on_shell",
     "planes_at_scales",
     "turn",
     "walk",

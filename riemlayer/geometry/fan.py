@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from riemlayer.geometry.frames import frame_of
 from riemlayer.geometry.planes import LocalPlanes
+from riemlayer.geometry.shell import Shell
 from riemlayer.geometry.walk import MET, Walked, advance
 from riemlayer.numerics import outer6
 
@@ -56,7 +57,7 @@ class FanLog(NamedTuple):
 
 
 def fan_of(
-    planes: LocalPlanes, p: Tensor, shape: Tensor, rays: int, radius: float, steps: int = 16
+    planes: LocalPlanes | Shell, p: Tensor, shape: Tensor, rays: int, radius: float, steps: int = 16
 ) -> Fan:
     """Walk from each source along `rays` directions, and keep `LENGTHS` points of each geodesic.
 
@@ -65,9 +66,9 @@ def fan_of(
     lengths are those of a walk at the height of p above its plane, as on a shell.
 
     Args:
-        planes: of the cloud.
+        planes: of the cloud, or a shell around it.
         p: (S, 3) sources in the cube.
-        shape: (S,) int64, shape of each source.
+        shape: (S,) int64, shape of each source; on a shell 0 to S - 1.
         rays: number of geodesics.
         radius: trained radius; they are `REACH` times as long.
         steps: of their walks, at least; as many from each point that is kept to the next.

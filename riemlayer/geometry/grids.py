@@ -112,12 +112,9 @@ class Grids(NamedTuple):
         own = tuple(on.level for on in levels)
         return cls(own, plane, per_unit, first, last, sharpness, levels[0].other_side)
 
-    def blend(self, x: Tensor, batch: Tensor, towards: Tensor, offsets: bool = False) -> Tensor:
-        """Sums (5, G, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
-
-        Each over the eight nodes around `x` on one grid; with `offsets` three more rows, the
-        offsets of `x` from their centroids.
-        """
+    def nodes(self, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+        """Planes (6, G, 8, Q) of the eight nodes around `x` (3, Q) on each grid, and trilinear
+        weights (G, 8, Q)."""
         t = torch.addcmul(self.first, x, self.per_unit)  # (G, 3, Q)
         cells, weight = trilinear(t.clamp_min(0).minimum(self.last))
         nodes, rows = [], 0
@@ -125,7 +122,16 @@ class Grids(NamedTuple):
             nodes.append(level.octants(cell, batch) + rows)
             rows += len(level) + 1
         near = self.plane.index_select(1, torch.cat(nodes).flatten())
-        centroid, normal = near.view(6, *weight.shape).split(3)  # (3, G, 8, Q)
+        return near.view(6, *weight.shape), weight
+
+    def blend(self, x: Tensor, batch: Tensor, towards: Tensor, offsets: bool = False) -> Tensor:
+        """Sums (5, G, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
+
+        Each over the eight nodes around `x` on one grid; with `offsets` three more rows, the
+        offsets of `x` from their centroids.
+        """
+        near, weight = self.nodes(x, batch)
+        centroid, normal = near.split(3)  # (3, G, 8, Q)
         offset = x[:, None, None] - centroid
         exponent = offset.square().sum(0) * self.sharpness
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from riemlayer.geometry.planes import LocalPlanes
+from riemlayer.geometry.shell import Shell
 from riemlayer.numerics import in_columns, normalise
 
 ANCHOR = 0.3
@@ -49,7 +50,7 @@ class Walked(NamedTuple):
 
 
 def walk(
-    planes: LocalPlanes,
+    planes: LocalPlanes | Shell,
     p: Tensor,
     v: Tensor,
     batch: Tensor,
@@ -70,10 +71,10 @@ def walk(
     from p + v is faded in with |v|^2 over `ANCHOR` cells.
 
     Args:
-        planes: of the cloud.
+        planes: of the cloud, or a shell around it.
         p: (Q, 3) starts, in the cube.
         v: (Q, 3) tangent vectors.
-        batch: (Q,) int64, shape of each start.
+        batch: (Q,) int64, shape of each start; its source on a shell.
         steps: number of steps; 8 for the trained radius, |v| over half the spacing for a fine walk.
         plane: what `planes.plane` answers at `p`, where it is known already.
     """
@@ -93,7 +94,7 @@ def walk(
 
 
 def advance(
-    planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor, halves: int = 2
+    planes: LocalPlanes | Shell, at: Walked, batch: Tensor, share: Tensor, halves: int = 2
 ) -> tuple[Walked, Tensor]:
     """One step of a walk, by a share (Q, 1) of the carried vector.
 
@@ -110,7 +111,7 @@ def advance(
     off, cosine = gap.abs() / planes.fine.level.cell_size, (at.normal * ahead).sum(-1, keepdim=True)
     met = torch.cat((off, 1 - cosine, support, torch.zeros_like(gap)), -1)
     there = Walked(x, turn(at.vector, at.normal, ahead), ahead, at.met + met)
-    if beside is None:
+    if beside is None or isinstance(planes, Shell):
         return there, turned
     there = turn_back(planes, there, batch, share, beside)
     rows = (beside.detach() == 0).all(-1).nonzero().squeeze(-1)
@@ -204,7 +205,7 @@ def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:
     return x + fade_in(square, planes) * (stretch * tangent - x)
 
 
-def fade_in(square: Tensor, planes: LocalPlanes) -> Tensor:
+def fade_in(square: Tensor, planes: LocalPlanes | Shell) -> Tensor:
     """0 at the source with zero slope, 1 beyond `ANCHOR` cells, from squared lengths."""
     return square / (square + (ANCHOR * planes.fine.level.cell_size) ** 2)
 

@@ -160,16 +160,18 @@ class Gate(nn.Module):
     Args:
         told: channels of all that is told.
         others: priors beside the first.
-        lifts: the last of the priors is no end but a way to go from there, such as to the height of
-            the source.
+        ways: which of these are no ends but ways to go from wherever one is, such as to the height
+            of the source.
 
     Shapes: priors (S, K, 3) each, told (S, K, ...), site (S, ...) -> prior (S, K, 3), trust
     (S, K, 1).
     """
 
-    def __init__(self, told: int, others: int, lifts: bool = False, hidden: int = 64) -> None:
+    def __init__(
+        self, told: int, others: int, ways: tuple[int, ...] = (), hidden: int = 64
+    ) -> None:
         super().__init__()
-        self.lifts = lifts
+        self.ways = ways
         self.first = nn.Linear(told, hidden)
         self.body = nn.Sequential(
             nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, others + 1)
@@ -179,16 +181,13 @@ class Gate(nn.Module):
         self, priors: list[Tensor], told: list[Tensor], site: Tensor
     ) -> tuple[Tensor, Tensor]:
         prior, *others = priors
-        lift = [others.pop()] if self.lifts else []
         rows = torch.cat(told, -1).flatten(0, 1)
         source = torch.arange(len(site), device=site.device)[:, None].expand(prior.shape[:2])
         hidden = linear_with_site(self.first, site, rows, source.flatten())
         shares = self.body(hidden).sigmoid().to(prior.dtype).unflatten(0, prior.shape[:2])
         *shares, trust = shares.split(1, -1)
-        for other in others:
-            prior = prior + shares.pop(0) * (other - prior)
-        for way in lift:
-            prior = prior + shares.pop(0) * way
+        for i, (share, other) in enumerate(zip(shares, others, strict=True)):
+            prior = prior + share * (other if i in self.ways else other - prior)
         return prior, trust
 
 

@@ -5,8 +5,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from riemlayer.config import HeadConfig
-from riemlayer.geometry import MET, LocalPlanes, fade_in, fan_of, lay_flat, log_on_fan, walk
+from riemlayer.config import SCALES, WALKS, HeadConfig
+from riemlayer.geometry import (
+    MET,
+    LocalPlanes,
+    Shell,
+    Walked,
+    fade_in,
+    fan_of,
+    lay_flat,
+    log_on_fan,
+    on_shell,
+    walk,
+)
 from riemlayer.heads.branch import (
     SITE,
     TRAINED,
@@ -35,40 +46,43 @@ class ExpHead(MapHead):
     Walks over the cloud's planes are the priors: one over planes half as large as the leaves, which
     turns back at the rims of sheets; one over finer planes, which see detail; one over wider ones,
     which noise and gaps between points disturb less. By what the planes are like and what the walks
-    met, a gate decides between their ends, whether to lift them to the height that p has above its
-    plane, as on a shell around the cloud, and what the correction counts, t. f sees the triplane of
-    z(p) at v, the same of the walks, the planes at p and the narrow embedding where the first walk
-    landed. Exp_p(0) = p and d(Exp_p)_0 = I by construction. With `anchored=False` it is the paper's
-    ExpNet, p + f(v).
+    met, a gate decides between their ends, whether to go where a walk on the shell that p lies on
+    ends instead, whether to lift the end to the height that p has above its plane, and what the
+    correction counts, t. f sees the triplane of z(p) at v, the same of the walks, the planes at p
+    and the narrow embedding where the first walk landed. Exp_p(0) = p and d(Exp_p)_0 = I by
+    construction. With `anchored=False` it is the paper's ExpNet, p + f(v).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         walks = len(config.walk_steps)
-        told = 2 + (WALK + SITE) * max(1, walks) + config.narrow + 3 * (walks > 0)
-        told = told if config.anchored else 0
+        self.scales, self.shells = min(walks, SCALES), walks == WALKS
+        told = 2 + WALK * max(1, walks) + config.narrow + 3 * (walks > 0)
+        told = told + SITE * max(1, self.scales) if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, walks, lifts=walks > 0) if config.anchored else None
+        ways = (*([0] * self.shells), *([walks - 1] * (walks > 0)))
+        self.gate = Gate(told, walks, ways) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         if self.gate is None:
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
-        normal, height = plane = field.planes.plane(p, shape)
-        site, length = sites(field, p, plane, shape), safe_norm(v)
-        told, ends, normals = [length / self.radius], [], []
-        for moved, turned, there, met in self.walks(field, p, v, shape, normal, height):
-            away = moved - (ends[0] if ends else v)
-            bend = safe_norm(away) / (length + 0.01 * self.radius)
-            told += [away / self.radius, bend, turned / self.radius, outer6(there), met]
-            ends.append(moved)
-            normals.append(there)
-        told.append(read_narrow(field, p[:, None] + ends[0], shape))
-        if self.config.walk_steps:
+        plane = field.planes.plane(p, shape)
+        first, *others = self.walks(field, p, v, shape, plane)
+        told = [safe_norm(v) / self.radius, self.says(first, v, first.point - p[:, None] - v)]
+        told += [self.says(end, v, end.point - first.point) for end in others]
+        told.append(read_narrow(field, first.point, shape))
+        ends = [end.point - p[:, None] for end in (first, *others)]
+        if self.scales:
             square = v.square().sum(-1, keepdim=True)
-            lift = fade_in(square, field.planes) * height[:, None] * normals[0]
+            lift = fade_in(square, field.planes) * plane[1][:, None] * first.normal
             told.append(lift / self.radius)
             ends.append(lift)
+        if self.shells:
+            way, says = self.on_shells(field, p, v, shape, first)
+            told.append(says)
+            ends.insert(1, way)
+        site = sites(field, p, plane, shape)
         prior, trust = self.gate(ends, told, site)
         return Prepared(z, v, prior, tuple(told), site, trust)
 
@@ -76,38 +90,57 @@ class ExpHead(MapHead):
         return x
 
     def walks(
-        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, *plane: Tensor
-    ) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
-        """Of each walk: where it ends, v carried there, the normal there (S, K, 3), and what it met
-        (S, K, MET), a step."""
-        start, normal, height = (y.repeat_interleave(v.shape[1], 0) for y in (p, *plane))
-        if not self.config.walk_steps:
-            return [(v, v, normal.view_as(v), v.new_zeros(*v.shape[:2], MET))]
-        index = shape[:, None].expand(v.shape[:2]).flatten()
-        walks, scales = [], (field.planes, *field.others)
-        for planes, steps in zip(scales, self.config.walk_steps, strict=True):
-            end = walk(planes, start, v.flatten(0, 1), index, steps, (normal, height))
-            parts = (end.point - start, end.vector, end.normal, end.met / steps)
-            walks.append(tuple(y.unflatten(0, v.shape[:2]) for y in parts))
-        return walks
+        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, plane: tuple[Tensor, Tensor]
+    ) -> list[Walked]:
+        """Where walks over the planes of each scale end (S, K, ...); a straight one without any."""
+        scales = (field.planes, *field.others)[: self.scales]
+        if not scales:
+            normal, met = plane[0][:, None].expand_as(v), v.new_zeros(*v.shape[:2], MET)
+            return [Walked(p[:, None] + v, v, normal, met)]
+        steps = self.config.walk_steps
+        return [_walked(*on, p, v, shape, plane) for on in zip(scales, steps, strict=False)]
+
+    def on_shells(
+        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, first: Walked
+    ) -> tuple[Tensor, Tensor]:
+        """The way (S, K, 3) from the ends of the first walks to those on the shells that sources
+        beside the cloud lie on, and what these say (S, K, WALK); 0 for sources on the cloud."""
+        share = on_shell(field.others[0].plane(p, shape)[1], field.planes.fine.level.cell_size)
+        rows = share.detach().squeeze(-1).nonzero().squeeze(-1)
+        way, says = torch.zeros_like(v), v.new_zeros(*v.shape[:2], WALK)
+        if not len(rows):
+            return way, says
+        start, source, share = p[rows], torch.arange(len(rows), device=p.device), share[rows, None]
+        shell = Shell.through(field.planes, start, shape[rows])
+        steps, plane = self.config.walk_steps[-1], shell.plane(start, source)
+        end = _walked(shell, steps, start, v[rows], source, plane)
+        away = end.point - first.point[rows]
+        way = way.index_copy(0, rows, share * away)
+        return way, says.index_copy(0, rows, share * self.says(end, v[rows], away))
+
+    def says(self, end: Walked, v: Tensor, away: Tensor) -> Tensor:
+        """What the decoder is told of a walk (S, K, WALK) that ended `away` from another."""
+        bend = safe_norm(away) / (safe_norm(v) + 0.01 * self.radius)
+        where = away / self.radius, bend, end.vector / self.radius
+        return torch.cat((*where, outer6(end.normal), end.met), -1)
 
 
 class LogHead(MapHead):
     """Log_p(q) = prior(x) + t |x| (h(x) - h(0)) with x = q - p (ours).
 
     A first prior lays the chord flat on the tangent plane of the cloud. Others, which agree with it
-    close to p, are read from fans of geodesics, walked from p over the same planes as those of Exp.
-    A gate decides between them, and what the correction counts, t. h sees the triplane of z(p) at
-    x, the priors, the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and
+    close to p, are read from fans of geodesics, walked from p where those of Exp walk. A gate
+    decides between them, and what the correction counts, t. h sees the triplane of z(p) at x, the
+    priors, the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and
     d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        scales = max(1, len(config.walk_steps))
+        scales = max(1, min(len(config.walk_steps), SCALES))
         self.fans = len(config.walk_steps) if config.fan_rays else 0
         told = 4 + FAN * self.fans + 2 * config.narrow + SITE * scales if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, self.fans) if config.anchored else None
+        self.gate = Gate(told, self.fans, (0,) * (self.fans == WALKS)) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -119,29 +152,47 @@ class LogHead(MapHead):
         flat = lay_flat(field.planes, plane[0], x)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         told, priors = [(flat - x) / self.radius, *passed], [flat]
+        share, steps = fan_share(x / self.radius), self.config.walk_steps
         scales = (field.planes, *field.others)[: self.fans]
-        for planes, steps in zip(scales, self.config.walk_steps, strict=False):
-            fan, known = self.on_fan(planes, steps, p, x, flat, shape)
+        for planes, n in zip(scales, steps, strict=False):
+            fan, says = self.on_fan(planes, n, p, x, flat, shape, share)
             priors.append(fan)
-            told.append(known)
+            told.append(says)
+        if self.fans == WALKS:
+            high = on_shell(field.others[0].plane(p, shape)[1], field.planes.fine.level.cell_size)
+            share = share * high[:, None]
+            fan, says = self.on_fan(field.planes, steps[-1], p, x, flat, shape, share, shells=True)
+            priors.insert(1, fan - flat)
+            told.append(says)
         site = sites(field, p, plane, shape)
         prior, trust = self.gate(priors, told, site)
         return Prepared(z, x, prior, tuple(told), site, trust)
 
     def on_fan(
-        self, planes: LocalPlanes, steps: int, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor
+        self,
+        planes: LocalPlanes,
+        steps: int,
+        p: Tensor,
+        x: Tensor,
+        flat: Tensor,
+        shape: Tensor,
+        share: Tensor,
+        shells: bool = False,
     ) -> tuple[Tensor, Tensor]:
         """Logs on the fans of one scale (S, K, 3), and what is told of them (S, K, FAN).
 
         Only sources and queries in which fans have a share are looked at; others stay `flat`.
         """
-        share = fan_share(x / self.radius)
         asked = share.detach().squeeze(-1) > 0
         rows, columns = (asked.any(i).nonzero().squeeze(-1) for i in (1, 0))
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        fan = fan_of(planes, p[rows], shape[rows], self.config.fan_rays, self.radius, steps)
+        start, index, ground = p[rows], shape[rows], planes
+        if shells:
+            ground = Shell.through(planes, start, index)
+            index = torch.arange(len(rows), device=p.device)
+        fan = fan_of(ground, start, index, self.config.fan_rays, self.radius, steps)
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)
@@ -154,6 +205,21 @@ class LogHead(MapHead):
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return vector
+
+
+def _walked(
+    ground: LocalPlanes | Shell,
+    steps: int,
+    p: Tensor,
+    v: Tensor,
+    index: Tensor,
+    plane: tuple[Tensor, Tensor],
+) -> Walked:
+    """Where walks of S sources along v (S, K, 3) end (S, K, ...); of what they met the mean."""
+    start, index, normal, height = (y.repeat_interleave(v.shape[1], 0) for y in (p, index, *plane))
+    end = walk(ground, start, v.flatten(0, 1), index, steps, (normal, height))
+    end = end._replace(met=end.met / steps)
+    return Walked(*(y.unflatten(0, v.shape[:2]) for y in end))
 
 
 def fan_share(x: Tensor) -> Tensor:

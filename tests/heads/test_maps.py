@@ -70,7 +70,7 @@ def test_the_gate_goes_from_the_first_prior_to_the_others_and_trusts_from_0_to_1
 
 
 def test_a_gate_lifts_wherever_it_went():
-    gate = Gate(told=5, others=2, lifts=True).double()
+    gate = Gate(told=5, others=2, ways=(1,)).double()
     first, other, way = (torch.randn(2, 7, 3).double() for _ in range(3))
     told, site = [torch.randn(2, 7, 4).double()], torch.randn(2, 1).double()
     torch.nn.init.constant_(gate.body[-1].bias, 1e3)

@@ -1,0 +1,91 @@
+"""The shell around a cloud that a source beside it lies on, as on the hull of a soup (ours)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riemlayer.geometry.grids import PlaneLevel
+from riemlayer.geometry.moments import NEGLIGIBLE
+from riemlayer.geometry.planes import LocalPlanes, Sight
+from riemlayer.numerics import normalise
+
+DISC = 0.7
+"""Radius, in cells, of the discs that the shell keeps its distance from."""
+SOFT = 0.4
+"""Width, in cells, over which distances to several discs are blended."""
+REACH = 2.0
+"""Distance, in cells, from which on there is no shell."""
+LOW, HIGH = 0.1, 0.2
+"""Heights of a source, in cells, up to which it is on the cloud, and from which on on a shell."""
+
+
+class Shell(NamedTuple):
+    """Level sets of the distance from a cloud, one through each of S sources.
+
+    Each node of the planes stands for a disc around its centroid. Unlike planes, level sets have
+    two sides: they lead round rims of sheets and up walls that stand on them. To walks and fans
+    they are what planes are, if queries come with the index of their source for a batch.
+    """
+
+    planes: LocalPlanes
+    shape: Tensor
+    """(S,) int64, shape of each source."""
+    level: Tensor
+    """(S, 1) distance of the sources from the cloud."""
+
+    @classmethod
+    def through(cls, planes: LocalPlanes, p: Tensor, shape: Tensor) -> Shell:
+        """Through the sources (S, 3)."""
+        return cls(planes, shape, distance(planes, p, shape)[0])
+
+    @property
+    def fine(self) -> PlaneLevel:
+        """What lengths are measured in."""
+        return self.planes.fine
+
+    def plane(self, p: Tensor, source: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit normals (Q, 3) of the shells at the sources, which lie on them: heights of 0."""
+        return distance(self.planes, p, self.shape[source])[1], torch.zeros_like(p[:, :1])
+
+    def look(self, x: Tensor, source: Tensor, towards: Tensor) -> Sight:
+        """What a walk on the shells of its sources sees at `x` (Q, 3)."""
+        away, normal = distance(self.planes, x, self.shape[source])
+        near = (away < REACH * self.fine.level.cell_size).to(x.dtype)
+        gap = near * (away - self.level[source])
+        return Sight(torch.where(near > 0, normal, towards), gap, near, None)
+
+
+def distance(planes: LocalPlanes, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+    """Distance (Q, 1) of `x` (Q, 3) from the discs around it, and its direction (Q, 3).
+
+    A blend over the nodes around `x` of the two fine grids, in which the nearest disc prevails.
+    """
+    near, weight = planes.grids.nodes(x.T, batch)
+    centroid, normal = near[:, :2].flatten(1, 2).split(3)  # (3, 16, Q)
+    weight = weight[:2].flatten(0, 1)
+    cell = planes.fine.level.cell_size
+    chord = x.T[:, None] - centroid
+    height = (normal * chord).sum(0) * normal
+    flat = chord - height
+    spread = _norm(flat, cell)
+    away = height + (1 - DISC * cell / spread).clamp_min(0) * flat
+    gap = _norm(away, cell)
+    nearer = (gap - gap.detach().amin(0)) / (-SOFT * cell)
+    weight = weight * nearer.clamp_min(NEGLIGIBLE).exp()
+    weight = weight / weight.sum(0)
+    outwards = (weight * away / gap).sum(1)
+    return (weight * gap).sum(0)[:, None], normalise(outwards.T)
+
+
+def on_shell(height: Tensor, cell: float) -> Tensor:
+    """Share, from 0 to 1, of the shell at sources of these heights above the finest planes."""
+    t = ((height.abs() / cell - LOW) / (HIGH - LOW)).clamp(0, 1)
+    return t.square() * (3 - 2 * t)
+
+
+def _norm(x: Tensor, cell: float) -> Tensor:
+    """|x| over the first axis, rounded off at 0 below a thousandth of a cell."""
+    return (x.square().sum(0) + (1e-3 * cell) ** 2).sqrt()
