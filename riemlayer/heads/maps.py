@@ -79,7 +79,8 @@ class ExpHead(MapHead):
             told.append(lift / self.radius)
             ends.append(lift)
         if self.shells:
-            way, says = self.on_shells(field, p, v, shape, first)
+            share = beside(field, p, shape, plane[1])
+            way, says = self.on_shells(field, p, v, shape, first, share)
             told.append(says)
             ends.insert(1, way)
         site = sites(field, p, plane, shape)
@@ -101,11 +102,10 @@ class ExpHead(MapHead):
         return [_walked(*on, p, v, shape, plane) for on in zip(scales, steps, strict=False)]
 
     def on_shells(
-        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, first: Walked
+        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, first: Walked, share: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The way (S, K, 3) from the ends of the first walks to those on the shells that sources
         beside the cloud lie on, and what these say (S, K, WALK); 0 for sources on the cloud."""
-        share = on_shell(field.others[0].plane(p, shape)[1], field.planes.fine.level.cell_size)
         rows = share.detach().squeeze(-1).nonzero().squeeze(-1)
         way, says = torch.zeros_like(v), v.new_zeros(*v.shape[:2], WALK)
         if not len(rows):
@@ -159,8 +159,7 @@ class LogHead(MapHead):
             priors.append(fan)
             told.append(says)
         if self.fans == WALKS:
-            high = on_shell(field.others[0].plane(p, shape)[1], field.planes.fine.level.cell_size)
-            share = share * high[:, None]
+            share = share * beside(field, p, shape, plane[1])[:, None]
             fan, says = self.on_fan(field.planes, steps[-1], p, x, flat, shape, share, shells=True)
             priors.insert(1, fan - flat)
             told.append(says)
@@ -220,6 +219,17 @@ def _walked(
     end = walk(ground, start, v.flatten(0, 1), index, steps, (normal, height))
     end = end._replace(met=end.met / steps)
     return Walked(*(y.unflatten(0, v.shape[:2]) for y in end))
+
+
+def beside(field: Embedding, p: Tensor, shape: Tensor, height: Tensor) -> Tensor:
+    """Share (S, 1) that shells have at the sources: 0 on the cloud, 1 well beside it.
+
+    By the heights above the finest planes, which sharp edges hardly raise; above the wider ones,
+    `height` (S, 1), where there are none.
+    """
+    finest = field.others[0].plane(p, shape)[1]
+    height = torch.where(finest == 0, height, finest)
+    return on_shell(height, field.planes.fine.level.cell_size)
 
 
 def fan_share(x: Tensor) -> Tensor:

@@ -48,9 +48,10 @@ def test_the_distance_from_a_sheet_is_the_height_and_grows_beside_its_rim():
         torch.testing.assert_close(away, torch.full_like(away, abs(height)), rtol=0, atol=2e-3)
         up = math.copysign(1, height) * torch.tensor([0.0, 0.0, 1.0]).double().expand(9, 3)
         assert float((normal - up).norm(dim=-1).mean()) < 0.1  # radians, among its discs
-    beside = line(0.55) * torch.tensor([1.0, 1.0, 0.0])
+    beside = line(0.58) * torch.tensor([1.0, 1.0, 0.0])
     away, normal = distance(planes, beside, batch)
-    assert (away > 0.02).all() and (normal[:, 0] > 0.9).all()
+    half = planes.fine.level.cell_size / 2  # how far the outermost discs may stand out
+    assert (away <= 0.08).all() and (away > 0.08 - 1.2 * half).all() and (normal[:, 0] > 0.9).all()
 
 
 def test_around_a_sphere_walks_on_the_shell_are_great_circles_of_its_radius():

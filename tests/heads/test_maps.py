@@ -6,6 +6,7 @@ from references import encoded, fibonacci_sphere, lumpy, shaken
 
 from riemlayer import ExpLogField
 from riemlayer.config import FieldConfig, HeadConfig
+from riemlayer.geometry.shell import HIGH as HIGHEST
 from riemlayer.heads import MapOutput
 from riemlayer.heads.branch import SITE, TRAINED, Gate, read_narrow, sites
 from riemlayer.heads.maps import BEYOND, MIDDLE, NEAR, fan_share
@@ -14,6 +15,7 @@ HEADS = {
     "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4,)),
     "walked twice": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8)),
     "three": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8, 3)),
+    "on shells": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8, 3, 8)),
     "straight": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=()),
     "told nothing": HeadConfig(resolution=8, channels=4, hidden=32, narrow=0, walk_steps=()),
 }
@@ -134,6 +136,31 @@ def test_exp_can_keep_the_height_of_the_source(height):
             off.append(float(plane[1].abs().median()) / abs(height))
     assert off[0] < 0.2 and 0.7 < off[1] < 1.3, off
     torch.testing.assert_close(seen[-1][:, 0], torch.zeros_like(p), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("which", ["exp", "log"])
+def test_shells_are_for_sources_beside_the_cloud(which):
+    """Whatever the gate says, sources on it are answered as if there were none."""
+    field, shape = field_with(HEADS["on shells"]), torch.zeros(20, dtype=torch.long)
+    head, n = getattr(field, f"{which}_head"), fibonacci_sphere(20)
+    points = 0.8 * fibonacci_sphere(4000)
+    embedding = field.embed(points, torch.zeros(4000, dtype=torch.long))
+    cell = embedding.planes.fine.level.cell_size
+    v = torch.linalg.cross(torch.randn(20, 30, 3).double(), n[:, None].expand(20, 30, 3))
+    v = 0.3 * torch.nn.functional.normalize(v, dim=-1)
+    change = []
+    for height in (0.0, 0.5 * HIGHEST * cell, 3 * HIGHEST * cell):
+        p = (0.8 + height) * n
+        x = v if which == "exp" else p[:, None] + v
+        priors = []
+        for bias in (-1e3, 1e3):
+            torch.nn.init.constant_(head.gate.body[-1].bias[:1], bias)
+            with torch.no_grad():
+                priors.append(head.prepare(embedding, p, x, shape).prior)
+        change.append((priors[1] - priors[0]).norm(dim=-1))
+    assert (change[0] == 0).all()
+    assert (change[1][:, 1:].mean() > 0) and (change[2][:, 1:] > 0).all()
+    assert (change[2][:, 0] == 0).all()
 
 
 def test_the_straight_and_untold_configuration_is_possible():
