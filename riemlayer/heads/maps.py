@@ -31,7 +31,7 @@ from riemlayer.heads.branch import (
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import interpolate
 
-NEAR, MIDDLE, BEYOND = 0.02, 0.1, 1.3
+NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
 """Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
 beyond which none again: no geodesic is shorter than its chord."""
 WALK = 13 + MET
