@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -39,6 +39,11 @@ class Embedding(NamedTuple):
     """Half as large as the leaves."""
     others: tuple[LocalPlanes, ...] = ()
     """For further walks: a quarter as large, and as large."""
+
+    @property
+    def scales(self) -> tuple[LocalPlanes, ...]:
+        """All planes, in the order of the walks."""
+        return (self.planes, *self.others)
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Embedding:
         """The same with `change` applied to every tensor that depends on the cloud."""
@@ -191,16 +196,17 @@ class Gate(nn.Module):
         return prior, trust
 
 
-def sites(field: Embedding, p: Tensor, plane: tuple[Tensor, Tensor], shape: Tensor) -> Tensor:
-    """What the planes say at the sources (S, 13 scales + 1).
+def sites(
+    field: Embedding, p: Tensor, shape: Tensor, seen: Sequence[tuple[Tensor, Tensor]]
+) -> Tensor:
+    """What the planes say at the sources (S, 13 scales + 1), given `LocalPlanes.plane` there.
 
     Of every scale the spectra, the normal and how high the source lies above the plane: over a hull
     around the cloud far at every scale, over noise a little, at a sharp edge less the finer they
     are. Then how dense the cloud is.
     """
     parts, heights = [], []
-    for i, planes in enumerate((field.planes, *field.others)):
-        normal, height = planes.plane(p, shape) if i else plane
+    for planes, (normal, height) in zip(field.scales, seen, strict=True):
         square = height.square()
         heights.append(square / (square + (HIGH * planes.fine.level.cell_size) ** 2))
         parts += [planes.fine.spectra(p, shape), outer6(normal)]

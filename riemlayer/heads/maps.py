@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -67,23 +69,23 @@ class ExpHead(MapHead):
         if self.gate is None:
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
-        plane = field.planes.plane(p, shape)
-        first, *others = self.walks(field, p, v, shape, plane)
+        seen = [planes.plane(p, shape) for planes in field.scales]
+        first, *others = self.walks(field, p, v, shape, seen[0])
         told = [safe_norm(v) / self.radius, self.says(first, v, first.point - p[:, None] - v)]
         told += [self.says(end, v, end.point - first.point) for end in others]
         told.append(read_narrow(field, first.point, shape))
         ends = [end.point - p[:, None] for end in (first, *others)]
         if self.scales:
             square = v.square().sum(-1, keepdim=True)
-            lift = fade_in(square, field.planes) * plane[1][:, None] * first.normal
+            lift = fade_in(square, field.planes) * seen[0][1][:, None] * first.normal
             told.append(lift / self.radius)
             ends.append(lift)
         if self.shells:
-            share = beside(field, p, shape, plane[1])
+            share = beside(field, seen)
             way, says = self.on_shells(field, p, v, shape, first, share)
             told.append(says)
             ends.insert(1, way)
-        site = sites(field, p, plane, shape)
+        site = sites(field, p, shape, seen)
         prior, trust = self.gate(ends, told, site)
         return Prepared(z, v, prior, tuple(told), site, trust)
 
@@ -94,7 +96,7 @@ class ExpHead(MapHead):
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, plane: tuple[Tensor, Tensor]
     ) -> list[Walked]:
         """Where walks over the planes of each scale end (S, K, ...); a straight one without any."""
-        scales = (field.planes, *field.others)[: self.scales]
+        scales = field.scales[: self.scales]
         if not scales:
             normal, met = plane[0][:, None].expand_as(v), v.new_zeros(*v.shape[:2], MET)
             return [Walked(p[:, None] + v, v, normal, met)]
@@ -148,22 +150,22 @@ class LogHead(MapHead):
         if self.gate is None:
             return Prepared(z, x)
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
-        plane = field.planes.plane(p, shape)
-        flat = lay_flat(field.planes, plane[0], x)
+        seen = [planes.plane(p, shape) for planes in field.scales]
+        flat = lay_flat(field.planes, seen[0][0], x)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         told, priors = [(flat - x) / self.radius, *passed], [flat]
         share, steps = fan_share(x / self.radius), self.config.walk_steps
-        scales = (field.planes, *field.others)[: self.fans]
+        scales = field.scales[: self.fans]
         for planes, n in zip(scales, steps, strict=False):
             fan, says = self.on_fan(planes, n, p, x, flat, shape, share)
             priors.append(fan)
             told.append(says)
         if self.fans == WALKS:
-            share = share * beside(field, p, shape, plane[1])[:, None]
+            share = share * beside(field, seen)[:, None]
             fan, says = self.on_fan(field.planes, steps[-1], p, x, flat, shape, share, shells=True)
             priors.insert(1, fan - flat)
             told.append(says)
-        site = sites(field, p, plane, shape)
+        site = sites(field, p, shape, seen)
         prior, trust = self.gate(priors, told, site)
         return Prepared(z, x, prior, tuple(told), site, trust)
 
@@ -221,14 +223,14 @@ def _walked(
     return Walked(*(y.unflatten(0, v.shape[:2]) for y in end))
 
 
-def beside(field: Embedding, p: Tensor, shape: Tensor, height: Tensor) -> Tensor:
+def beside(field: Embedding, seen: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
     """Share (S, 1) that shells have at the sources: 0 on the cloud, 1 well beside it.
 
-    By the heights above the finest planes, which sharp edges hardly raise; above the wider ones,
-    `height` (S, 1), where there are none.
+    By the heights above the finest planes, which sharp edges hardly raise; above the first ones
+    where there are none. `seen` is what `LocalPlanes.plane` answers at the sources on each scale.
     """
-    finest = field.others[0].plane(p, shape)[1]
-    height = torch.where(finest == 0, height, finest)
+    (_, wide), (_, finest), *_ = seen
+    height = torch.where(finest == 0, wide, finest)
     return on_shell(height, field.planes.fine.level.cell_size)
 
 

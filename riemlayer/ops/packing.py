@@ -15,7 +15,7 @@ from riemlayer.octree import Level, Octree, build_octree
 def packed(parts: list[tuple[Embedding, int]]) -> Embedding:
     """One batch of several, each with the number of its first cloud."""
     embeddings = [embedding for embedding, _ in parts]
-    scales = [*zip(*((x.planes, *x.others) for x in embeddings), strict=True)]
+    scales = [*zip(*(x.scales for x in embeddings), strict=True)]
     first = [i for _, i in parts]
     finest = max(scales, key=lambda scale: scale[0].fine.level.depth)
     coarsest = min(scale[0].coarse.level.depth for scale in scales)
