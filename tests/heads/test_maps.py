@@ -103,8 +103,8 @@ def test_what_is_told_of_sources_says_how_high_they_are_and_how_dense_the_cloud_
         seen = []
         for height in (0.001, 0.01, 0.05, -0.05):
             p = points[:: n // 20] * (1 + height / 0.9)
-            seen = [planes.plane(p, shape) for planes in embedding.scales]
-            site = sites(embedding, p, shape, seen)
+            at_p = [planes.plane(p, shape) for planes in embedding.scales]
+            site = sites(embedding, p, shape, at_p)
             assert site.shape[-1] == 3 * SITE + 1
             seen.append(site[:, -4:-1])
             dense.append(float(site[:, -1].detach().mean()))
