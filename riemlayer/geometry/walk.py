@@ -23,8 +23,6 @@ SPARSE = 0.6
 """Spacing of the points, in coarse cells, from which on gaps between them look like rims."""
 MET = 4
 """Channels of what a walk met."""
-STEEP = 0.1
-"""Share of a chord's squared height that counts as length when its tangent part is stretched."""
 NEGLIGIBLE = 0.05
 """Length, in cells, below which a vector has less and less of a direction."""
 
@@ -183,26 +181,6 @@ def _rim(
     ends = ~torch.stack(goes_on).any(0)
     known = 1 + (left != 0).any(-1, keepdim=True).to(x.dtype) + (right != 0).any(-1, keepdim=True)
     return (beside + left + right) / known, ends.to(x.dtype)
-
-
-def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:
-    """Tangent part of chords `x` from a point, stretched to the chord's length: a first Log (ours).
-
-    A chord is shorter than its geodesic and its tangent part shorter still, so |x| is the better
-    length. Chords along the normal, which have no direction, shrink to 0. To first order at 0 the
-    answer is `x` itself, as in `walk`.
-
-    Args:
-        planes: of the cloud.
-        normal: (S, 3) unit normals of the tangent planes.
-        x: (S, K, 3).
-    """
-    height = (x * normal[:, None]).sum(-1, keepdim=True)
-    tangent = x - height * normal[:, None]
-    square = x.square().sum(-1, keepdim=True)
-    spread = (square - (1 - STEEP) * height.square()).clamp_min(torch.finfo(x.dtype).tiny)
-    stretch = (square.clamp_min(torch.finfo(x.dtype).tiny) / spread).sqrt()
-    return x + fade_in(square, planes) * (stretch * tangent - x)
 
 
 def fade_in(square: Tensor, planes: LocalPlanes | Shell) -> Tensor:

@@ -13,6 +13,7 @@ from riemlayer.geometry import (
     LocalPlanes,
     Shell,
     Walked,
+    bend,
     fade_in,
     fan_of,
     lay_flat,
@@ -40,6 +41,8 @@ WALK = 13 + MET
 """Channels that Exp's decoder is told of a walk: 3 + 1 + 3 + 6, and what it met."""
 FAN = 13 + MET
 """Channels that Log's decoder is told of a fan: 3 + 1 + 6 + 3, and what its walks met."""
+BENT = 12
+"""Channels that it is told of a bent chord: 3, and of the planes at its end 6 + 3."""
 
 
 class ExpHead(MapHead):
@@ -131,18 +134,22 @@ class LogHead(MapHead):
     """Log_p(q) = prior(x) + t |x| (h(x) - h(0)) with x = q - p (ours).
 
     A first prior lays the chord flat on the tangent plane of the cloud. Others, which agree with it
-    close to p, are read from fans of geodesics, walked from p where those of Exp walk. A gate
-    decides between them, and what the correction counts, t. h sees the triplane of z(p) at x, the
-    priors, the planes at p, and the narrow embedding at q and half-way. Log_p(p) = 0 and
-    d(Log_p)_p = I by construction. With `anchored=False` it is the paper's LogNet: v = h(x).
+    close to p, are read from fans of geodesics, walked from p where those of Exp walk; the last one
+    bends the chord as the finest planes at both its ends say. A gate decides between them, and what
+    the correction counts, t. h sees the triplane of z(p) at x, the priors, the planes at p and at
+    q, and the narrow embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by construction.
+    With `anchored=False` it is the paper's LogNet: v = h(x).
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
         scales = max(1, min(len(config.walk_steps), SCALES))
         self.fans = len(config.walk_steps) if config.fan_rays else 0
-        told = 4 + FAN * self.fans + 2 * config.narrow + SITE * scales if config.anchored else 0
+        self.bends = scales > 1
+        told = 4 + FAN * self.fans + BENT * self.bends + 2 * config.narrow + SITE * scales
+        told = told if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        self.gate = Gate(told, self.fans, (0,) * (self.fans == WALKS)) if config.anchored else None
+        ways, others = (0,) * (self.fans == WALKS), self.fans + self.bends
+        self.gate = Gate(told, others, ways) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -164,6 +171,10 @@ class LogHead(MapHead):
             share = share * beside(field, seen)[:, None]
             fan, says = self.on_fan(field.planes, steps[-1], p, x, flat, shape, share, shells=True)
             priors.insert(1, fan - flat)
+            told.append(says)
+        if self.bends:
+            bent, says = self.bent(field.scales[1], p, x, flat, shape, seen[1][0])
+            priors.append(bent)
             told.append(says)
         site = sites(field, p, shape, seen)
         prior, trust = self.gate(priors, told, site)
@@ -203,6 +214,24 @@ class LogHead(MapHead):
         told = torch.cat(told, -1)
         told = torch.cat((away / self.radius, share * told), -1)
         return flat.index_put(part, start + away), known.index_put(part, told)
+
+    def bent(
+        self,
+        planes: LocalPlanes,
+        p: Tensor,
+        x: Tensor,
+        flat: Tensor,
+        shape: Tensor,
+        normal: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """Bent chords (S, K, 3), and what is told of them and of the planes at q (S, K, BENT)."""
+        towards, index = normal.repeat_interleave(x.shape[1], 0), shape[:, None].expand(x.shape[:2])
+        end, gap = planes.at((p[:, None] + x).flatten(0, 1), index.flatten(), towards)
+        gap, through = gap * end, outer6(end)
+        end, gap, through = (y.unflatten(0, x.shape[:2]) for y in (end, gap, through))
+        bent = bend(planes, normal, x, end)
+        told = (bent - flat) / self.radius, through, gap / self.radius
+        return bent, torch.cat(told, -1)
 
     def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
         return vector
