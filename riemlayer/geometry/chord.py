@@ -9,7 +9,7 @@ from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.geometry.walk import fade_in
 
 STEEP = 0.1
-"""Share of a chord's squared height that counts as length when its tangent part is stretched."""
+"""How little of a chord along the normal is left when its tangent part is stretched."""
 
 
 def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:
@@ -40,25 +40,26 @@ def bend(planes: LocalPlanes, normal: Tensor, x: Tensor, end: Tensor) -> Tensor:
         x: (S, K, 3).
         end: (S, K, 3) unit normals where the chords end, on the side of `normal`.
     """
-    n = normal[:, None]
+    n, tiny = normal[:, None], torch.finfo(x.dtype).tiny
     t = _flat(n, x)
     b = torch.linalg.cross(n.expand_as(t), t)
     along, aside = ((end * y).sum(-1, keepdim=True) for y in (t, b))
-    square = t.square().sum(-1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny)
-    sideways = along * aside / (6 * square)
-    half = (1 - (n * end).sum(-1, keepdim=True)) / 2  # sin^2 of half the turn
-    longer = 1 + half / 6 + 0.075 * half.square()  # asin(y) / y to the fifth order
+    sideways = along * aside / (6 * t.square().sum(-1, keepdim=True)).clamp_min(tiny)
+    half_turn = (1 - (n * end).sum(-1, keepdim=True)) / 2  # sin^2 of half the angle
+    curved = half_turn * along.square() / (along.square() + aside.square()).clamp_min(tiny)
+    longer = 1 + curved / 6 + 0.075 * curved.square()  # asin(y) / y to the fifth order
     bent = longer * (t + sideways * b) / (1 + sideways.square()).sqrt()
     return _near_identity(x, bent, planes)
 
 
 def _flat(normal: Tensor, x: Tensor) -> Tensor:
     """Tangent part of chords (S, K, 3), stretched to their lengths."""
+    tiny = torch.finfo(x.dtype).tiny
     height = (x * normal).sum(-1, keepdim=True)
     tangent = x - height * normal
-    square = x.square().sum(-1, keepdim=True)
-    spread = (square - (1 - STEEP) * height.square()).clamp_min(torch.finfo(x.dtype).tiny)
-    return (square.clamp_min(torch.finfo(x.dtype).tiny) / spread).sqrt() * tangent
+    square = x.square().sum(-1, keepdim=True).clamp_min(tiny)
+    up = height.square()
+    return (square / (square - up + STEEP * up * (up / square)).clamp_min(tiny)).sqrt() * tangent
 
 
 def _near_identity(x: Tensor, log: Tensor, planes: LocalPlanes) -> Tensor:

@@ -116,7 +116,7 @@ class Grids(NamedTuple):
         """Planes (6, G, 8, Q) of the eight nodes around `x` (3, Q) on each grid, and trilinear
         weights (G, 8, Q)."""
         t = torch.addcmul(self.first, x, self.per_unit)  # (G, 3, Q)
-        cells, weight = trilinear(t.clamp_min(0).minimum(self.last))
+        cells, weight = trilinear(t.clamp(torch.zeros_like(self.last), self.last))
         nodes, rows = [], 0
         for level, cell in zip(self.levels, cells, strict=True):
             nodes.append(level.octants(cell, batch) + rows)
@@ -135,10 +135,10 @@ class Grids(NamedTuple):
         offset = x[:, None, None] - centroid
         exponent = offset.square().sum(0) * self.sharpness
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
-        away = ((normal * towards[:, None, None]).sum(0).detach() < 0).to(x.dtype)
-        sign = torch.addcmul(weight, weight, away * (self.other_side - 1))
-        distance, weight = sign * (normal * offset).sum(0), sign.abs()
-        sums = [(normal * sign).sum(2), torch.stack((distance, weight)).sum(2)]
+        agree = (normal.detach() * towards.detach()[:, None, None]).sum(0)
+        sign = weight * torch.where(agree < 0, self.other_side, 1.0)
+        normal, weight = sign * normal, sign.abs()
+        sums = [normal.sum(2), (normal * offset).sum((0, 2))[None], weight.sum(1)[None]]
         if offsets:
             sums.append((offset * weight).sum(2))
         return torch.cat(sums)

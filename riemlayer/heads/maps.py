@@ -164,12 +164,16 @@ class LogHead(MapHead):
         share, steps = fan_share(x / self.radius), self.config.walk_steps
         scales = field.scales[: self.fans]
         for planes, n in zip(scales, steps, strict=False):
-            fan, says = self.on_fan(planes, n, p, x, flat, shape, share)
+            fan, says = self.on_fan(planes, shape, n, p, x, flat, share)
             priors.append(fan)
             told.append(says)
         if self.fans == WALKS:
             share = share * beside(field, seen)[:, None]
-            fan, says = self.on_fan(field.planes, steps[-1], p, x, flat, shape, share, shells=True)
+            shell, source = (
+                Shell.through(field.planes, p, shape),
+                torch.arange(len(p), device=p.device),
+            )
+            fan, says = self.on_fan(shell, source, steps[-1], p, x, flat, share)
             priors.insert(1, fan - flat)
             told.append(says)
         if self.bends:
@@ -182,16 +186,15 @@ class LogHead(MapHead):
 
     def on_fan(
         self,
-        planes: LocalPlanes,
+        ground: LocalPlanes | Shell,
+        index: Tensor,
         steps: int,
         p: Tensor,
         x: Tensor,
         flat: Tensor,
-        shape: Tensor,
         share: Tensor,
-        shells: bool = False,
     ) -> tuple[Tensor, Tensor]:
-        """Logs on the fans of one scale (S, K, 3), and what is told of them (S, K, FAN).
+        """Logs on fans over planes or shells (S, K, 3), and what is told of them (S, K, FAN).
 
         Only sources and queries in which fans have a share are looked at; others stay `flat`.
         """
@@ -200,11 +203,7 @@ class LogHead(MapHead):
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        start, index, ground = p[rows], shape[rows], planes
-        if shells:
-            ground = Shell.through(planes, start, index)
-            index = torch.arange(len(rows), device=p.device)
-        fan = fan_of(ground, start, index, self.config.fan_rays, self.radius, steps)
+        fan = fan_of(ground, p[rows], index[rows], self.config.fan_rays, self.radius, steps)
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)

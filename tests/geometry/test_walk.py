@@ -9,7 +9,7 @@ from references import fibonacci_sphere, go, lumpy, planes_of
 from torch import Tensor
 
 from riemlayer.data.closed_form import Cylinder, Sphere
-from riemlayer.geometry import lay_flat, local_planes, turn, walk
+from riemlayer.geometry import local_planes, turn, walk
 from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.octree import build_octree
 
@@ -107,36 +107,6 @@ def test_where_there_is_no_plane_a_walk_goes_straight_on():
     end = go(planes, p, v)
     torch.testing.assert_close(end.point, p + v, rtol=0, atol=1e-10)
     torch.testing.assert_close(end.vector.norm(dim=-1), v.norm(dim=-1))
-
-
-def test_laying_a_chord_flat_keeps_its_length_and_lands_on_the_tangent_plane(sphere):
-    p = fibonacci_sphere(50)
-    v = tangents(p, 0.5)
-    chord = (Sphere().exp(p, v) - p)[:, None]
-    flat = lay_flat(sphere, p, chord).squeeze(1)
-    assert ((flat * p).sum(-1).abs() < 1e-2).all()
-    torch.testing.assert_close(flat.norm(dim=-1), chord.norm(dim=-1).squeeze(-1), rtol=0.02, atol=0)
-    torch.testing.assert_close(flat, v, rtol=0, atol=0.02)  # a first Log
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_laying_flat_is_the_identity_to_first_order(dtype):
-    points = lumpy(300).to(dtype)
-    planes, n = planes_of(points, 5), torch.nn.functional.normalize(points[:20], dim=-1)
-    zero = torch.zeros(20, 1, 3, dtype=dtype, requires_grad=True)
-    assert torch.equal(lay_flat(planes, n, zero), zero)
-    for axis in torch.eye(3, dtype=dtype):
-        direction = axis.expand(20, 1, 3)
-        _, moved = torch.func.jvp(lambda x: lay_flat(planes, n, x), (zero.detach(),), (direction,))
-        assert torch.equal(moved, direction)
-    lay_flat(planes, n, zero).sum().backward()
-    assert zero.grad is not None and torch.equal(zero.grad, torch.ones_like(zero))
-
-
-def test_chords_along_the_normal_shrink():
-    planes, n = planes_of(fibonacci_sphere(4000)), fibonacci_sphere(30)
-    flat = lay_flat(planes, n, 0.5 * n[:, None])
-    assert (flat.norm(dim=-1) < 0.01).all()
 
 
 def test_turn_is_a_rotation_that_takes_one_normal_to_the_other():
