@@ -100,7 +100,7 @@ class MapHead(nn.Module):
         super().__init__()
         self.config, self.radius = config, radius
         if config.decoder == "siren":
-            self.planes, self.decoder = nn.Identity(), SirenDecoder(embedding, 3 + told, config)
+            self.planes, self.decoder = None, SirenDecoder(embedding, 3 + told, config)
         else:
             self.planes = TriplaneHypernetwork(embedding, config.resolution, config.channels)
             self.decoder = TriplaneDecoder(3 + told, config)
@@ -145,7 +145,9 @@ class MapHead(nn.Module):
 
         Returns its answer (S, K, 3) and the validity's logit (S, K).
         """
-        return self.decoder(self.planes(z), x / self.radius, told, site, self._logit)
+        x = x / self.radius
+        modulation = z if self.planes is None else self.planes(z, x)
+        return self.decoder(modulation, x, told, site, self._logit)
 
     def _logit(self, hidden: Tensor) -> Tensor:
         return self.valid(hidden.detach()).squeeze(-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -22,7 +23,7 @@ ROWS = 3072
 traced: what they take stays in a core's cache."""
 
 
-def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
+def sample_triplane(planes: Tensor, x: Tensor, resolution: int | None = None) -> Tensor:
     """Bilinear features of queries on three planes (Sec. 3.2, step 2).
 
     Corners are aligned: -1 and 1 are the outermost samples. A query outside [-1, 1] takes the value
@@ -32,16 +33,19 @@ def sample_triplane(planes: Tensor, x: Tensor) -> Tensor:
     Args:
         planes: (S, 3, R, R, C), the last two axes before C indexed by the coordinates of `PLANES`.
         x: (S, K, 3) in [-1, 1].
+        resolution: of the whole planes, where `planes` are the middle of them.
 
     Shapes: -> (S, K, 3 C).
 
     >>> sample_triplane(torch.ones(2, 3, 4, 4, 5), torch.rand(2, 7, 3)).shape
     torch.Size([2, 7, 15])
     """
+    s, _, r, _, c = planes.shape
+    if resolution is not None and resolution > r:
+        x = x * ((resolution - 1) / (r - 1))
     if not torch.is_grad_enabled():
         with suppress(NotImplementedError):  # forward mode, which goes on below
             return _sample_fused(planes, x)
-    s, _, r, _, c = planes.shape
     t = (x.movedim(-1, 0).clamp(-1, 1) + 1) * ((r - 1) / 2)  # (3, S, K): columns are faster
     low = t.detach().int().clamp_max(r - 2)
     plane = torch.arange(3 * s, dtype=torch.int32, device=x.device).view(s, 3, 1).movedim(0, 1)
@@ -69,17 +73,36 @@ def _on_planes(y: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class TriplaneHypernetwork(nn.Module):
-    """Linear map from an embedding to three planes: (S, C) -> (S, 3, R, R, channels)."""
+    """Linear map from an embedding to three planes: (S, C) -> (S, 3, R, R, channels).
+
+    For queries (S, K, 3) close to their sources, such as edges of a graph, only the middle of the
+    planes is made: as many samples as they need.
+    """
 
     def __init__(self, embedding: int, resolution: int, channels: int) -> None:
         super().__init__()
         self.shape = (3, resolution, resolution, channels)
         self.linear = nn.Linear(embedding, 3 * resolution**2 * channels)
 
-    def forward(self, z: Tensor) -> Tensor:
+    def forward(self, z: Tensor, x: Tensor | None = None) -> Tensor:
+        weight, bias, shape = self.linear.weight, self.linear.bias, self.shape
+        beyond = 0 if x is None else self._not_needed(x)
+        if beyond:
+            middle = slice(beyond, -beyond)
+            weight, bias = (y.unflatten(0, shape)[:, middle, middle] for y in (weight, bias))
+            shape = bias.shape
+            weight, bias = weight.flatten(0, 3), bias.flatten()
         half = torch.is_autocast_enabled(z.device.type) and len(z) > FEW
         with torch.autocast(z.device.type, enabled=half):
-            return self.linear(z).unflatten(-1, self.shape)
+            return F.linear(z, weight, bias).unflatten(-1, shape)
+
+    def _not_needed(self, x: Tensor) -> int:
+        """How many samples at each border of the planes no query (S, K, 3) in [-1, 1] needs."""
+        if torch.compiler.is_compiling():
+            return 0  # sizes must not depend on data
+        r = self.shape[1]
+        furthest = float(x.detach().abs().amax()) * (r - 1) if x.numel() else 0.0
+        return max(0, min(r // 2 - 1, math.floor((r - 1 - furthest) / 2 - 1e-4)))
 
     def extra_repr(self) -> str:
         _, r, _, c = self.shape
@@ -102,6 +125,7 @@ class TriplaneDecoder(nn.Module):
 
     def __init__(self, inputs: int, config: HeadConfig) -> None:
         super().__init__()
+        self.resolution = config.resolution
         widths = [3 * config.channels + inputs, *[config.hidden] * (config.layers - 1)]
         layers = []
         for a, b in pairwise(widths):
@@ -119,7 +143,7 @@ class TriplaneDecoder(nn.Module):
         site: Tensor,
         read: Callable[[Tensor], Tensor],
     ) -> tuple[Tensor, Tensor]:
-        features = sample_triplane(planes, x)
+        features = sample_triplane(planes, x, self.resolution)
         inputs = (y.contiguous() for y in (features.to(x.dtype), x, *told))  # else cat is slow
         rows = torch.cat([*inputs], -1).flatten(0, 1)
         source = torch.arange(x.shape[0], device=x.device)[:, None].expand(x.shape[:2]).flatten()

@@ -86,6 +86,38 @@ def test_hypernetwork_is_linear_in_the_embedding():
     assert "6 -> 3x2x4x4" in repr(net)
 
 
+@pytest.mark.parametrize("resolution", [4, 5, 16])
+@pytest.mark.parametrize("mode", [torch.enable_grad, torch.no_grad])
+def test_of_the_planes_only_the_middle_that_queries_need_is_made(resolution, mode):
+    """Values are those on whole planes, at any reach; at the borders between samples too."""
+    net = TriplaneHypernetwork(6, resolution, channels=2).double()
+    z, x = torch.randn(3, 6).double(), queries(3)
+    sizes = []
+    for reach in sorted((0.0, 1e-3, 1 / (resolution - 1), 0.3, 0.8, 1.0, 2.0)):
+        near = (reach * x).clamp(-reach, reach)
+        near[0, 0] = reach
+        with mode():
+            planes = net(z, near)
+            sizes.append(planes.shape[2])
+            sampled = sample_triplane(planes, near, resolution)
+            whole = sample_triplane(net(z), near)
+        torch.testing.assert_close(sampled, whole, rtol=0, atol=1e-12)
+    assert sizes[0] in (2, 3) and sizes == sorted(sizes) and sizes[-1] == resolution
+
+
+def test_gradients_do_not_depend_on_how_much_of_the_planes_is_made():
+    net, x = TriplaneHypernetwork(6, 16, 2).double(), queries(3, reach=0.2).requires_grad_()
+    z = torch.randn(3, 6).double().requires_grad_()
+    inputs = [z, x, *net.parameters()]
+    weight = torch.randn(3, 50, 6).double()
+    middle = (sample_triplane(net(z, x), x, 16) * weight).sum()
+    whole = (sample_triplane(net(z), x) * weight).sum()
+    for a, b in zip(
+        torch.autograd.grad(middle, inputs), torch.autograd.grad(whole, inputs), strict=True
+    ):
+        torch.testing.assert_close(a, b, rtol=0, atol=1e-11)
+
+
 def test_reference_sampler_has_the_double_backward_that_ours_replaces():
     inputs = random_planes(1, 3, 1).requires_grad_(), queries(1, 2).requires_grad_()
     assert gradgradcheck(grid_sample_triplane, inputs)
