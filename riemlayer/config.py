@@ -77,7 +77,7 @@ class HeadConfig:
     leaves, a quarter as large, and as large; on the shell that a source beside the cloud lies on;
     (): straight (q = p + v), as in the paper."""
     fan_rays: int = 48
-    """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: the chord alone."""
+    """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: chords alone."""
     decoder: str = "triplane"
     """`triplane`, or `siren` (Tab. 5): a modulated sine network, without planes."""
 
