@@ -42,7 +42,7 @@ class ExpLogHeadFitting(ExpLogPretraining):
         warmup: int = 100,
         gates_only: bool = False,
     ) -> None:
-        losses = losses or LossWeights(geo=0, cyc=0, pairs=0.25, prior=0.2, relative=True)
+        losses = losses or LossWeights(geo=0, cyc=0, pairs=0.05, prior=0.2, relative=True)
         super().__init__("base", losses, learning_rate, weight_decay, warmup, start_from)
         self.hparams["config"] = self.field.config.to_dict()  # for the export of checkpoints
         self.gates_only = gates_only
