@@ -38,14 +38,14 @@ def bend(planes: LocalPlanes, normal: Tensor, x: Tensor, end: Tensor) -> Tensor:
         planes: of the cloud.
         normal: (S, 3) unit normals at the sources.
         x: (S, K, 3).
-        end: (S, K, 3) unit normals where the chords end, on the side of `normal`.
+        end: (S, K, 3) unit normals where the chords end; their sign has no meaning.
     """
     n, tiny = normal[:, None], torch.finfo(x.dtype).tiny
     t = _flat(n, x)
     b = torch.linalg.cross(n.expand_as(t), t)
     along, aside = ((end * y).sum(-1, keepdim=True) for y in (t, b))
     sideways = along * aside / (6 * t.square().sum(-1, keepdim=True)).clamp_min(tiny)
-    half_turn = (1 - (n * end).sum(-1, keepdim=True)) / 2  # sin^2 of half the angle
+    half_turn = (1 - (n * end).sum(-1, keepdim=True).abs()) / 2  # sin^2 of half the angle
     curved = half_turn * along.square() / (along.square() + aside.square()).clamp_min(tiny)
     longer = 1 + curved / 6 + 0.075 * curved.square()  # asin(y) / y to the fifth order
     bent = longer * (t + sideways * b) / (1 + sideways.square()).sqrt()

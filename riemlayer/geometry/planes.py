@@ -219,8 +219,10 @@ def _plane_level(
     covariance = (1 - share) * (around.scatter / around.mass + share * outer6(apart))
     covariance = covariance + share * (wide.scatter / wide.mass)[level.parent]
     covariance = _settled(covariance, level.cell_size)
-    eigenvalues = symmetric_eigenvalues(covariance)
-    normal = smallest_eigenvector(covariance, eigenvalues[:, 0])
+    exact = covariance.double()  # the normal of few points hangs on the last digits
+    eigenvalues = symmetric_eigenvalues(exact)
+    normal = smallest_eigenvector(exact, eigenvalues[:, 0]).to(covariance.dtype)
+    eigenvalues = eigenvalues.to(covariance.dtype)
     plane = torch.cat((moments.centroid, normal), -1)
     nowhere = plane.new_tensor([[FAR, 0, 0, 0, 0, 0]])
     plane = torch.cat((plane, nowhere)).T.contiguous()

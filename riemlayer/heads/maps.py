@@ -169,10 +169,8 @@ class LogHead(MapHead):
             told.append(says)
         if self.fans == WALKS:
             share = share * beside(field, seen)[:, None]
-            shell, source = (
-                Shell.through(field.planes, p, shape),
-                torch.arange(len(p), device=p.device),
-            )
+            shell = Shell.through(field.planes, p, shape)
+            source = torch.arange(len(p), device=p.device)
             fan, says = self.on_fan(shell, source, steps[-1], p, x, flat, share)
             priors.insert(1, fan - flat)
             told.append(says)
@@ -224,8 +222,8 @@ class LogHead(MapHead):
         normal: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Bent chords (S, K, 3), and what is told of them and of the planes at q (S, K, BENT)."""
-        towards, index = normal.repeat_interleave(x.shape[1], 0), shape[:, None].expand(x.shape[:2])
-        end, gap = planes.at((p[:, None] + x).flatten(0, 1), index.flatten(), towards)
+        index = shape[:, None].expand(x.shape[:2]).flatten()
+        end, gap = planes.plane((p[:, None] + x).flatten(0, 1), index)
         gap, through = gap * end, outer6(end)
         end, gap, through = (y.unflatten(0, x.shape[:2]) for y in (end, gap, through))
         bent = bend(planes, normal, x, end)

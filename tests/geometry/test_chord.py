@@ -70,6 +70,12 @@ def test_bent_chords_are_right_to_the_third_order():
     assert bent < flat / 10, errors
 
 
+def test_the_sign_of_the_normal_at_the_end_has_no_meaning():
+    planes, n = planes_of(lumpy(300), 5), normalize(lumpy(300)[:3], dim=-1)
+    end, x = normalize(torch.randn(3, 40, 3).double(), dim=-1), 0.2 * torch.randn(3, 40, 3).double()
+    assert torch.equal(bend(planes, n, x, end), bend(planes, n, x, -end))
+
+
 def test_bent_chords_can_be_differentiated():
     planes, n = planes_of(lumpy(300), 5), normalize(lumpy(300)[:3], dim=-1)
     end = normalize(n[:, None] + 0.3 * torch.randn(3, 4, 3).double(), dim=-1)
