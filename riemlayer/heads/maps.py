@@ -222,8 +222,11 @@ class LogHead(MapHead):
         normal: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Bent chords (S, K, 3), and what is told of them and of the planes at q (S, K, BENT)."""
-        index = shape[:, None].expand(x.shape[:2]).flatten()
-        end, gap = planes.plane((p[:, None] + x).flatten(0, 1), index)
+        q, index = (p[:, None] + x).flatten(0, 1), shape.repeat_interleave(x.shape[1], 0)
+        towards = planes.fine.nearest(q, index)
+        nowhere = (towards == 0).all(-1, keepdim=True)
+        towards = torch.where(nowhere, normal.repeat_interleave(x.shape[1], 0), towards)
+        end, gap = planes.at(q, index, towards)
         gap, through = gap * end, outer6(end)
         end, gap, through = (y.unflatten(0, x.shape[:2]) for y in (end, gap, through))
         bent = bend(planes, normal, x, end)
