@@ -51,7 +51,7 @@ def load_field(weights: str) -> ExpLogField:
 def without_walk(field: ExpLogField) -> ExpLogField:
     """A field of the same size whose Exp starts from p + v; untrained."""
     config = field.config
-    return ExpLogField(replace(config, head=replace(config.head, walk_steps=()))).eval()
+    return ExpLogField(replace(config, head=replace(config.head, walks=0))).eval()
 
 
 def encode(field: ExpLogField, clouds: int, points: int) -> Run:

@@ -64,7 +64,7 @@ def _variants() -> dict[str, Variant]:
     widths = {"encoder": (64, 64, 128, 1024), "decoder": (512, 256, 128, 128)}
     pointnet = backbone(kind="pointnet", stem=0, **widths)  # about as wide as in Qi et al. 2017
     siren = head(decoder="siren")  # as wide and deep as the perceptron it replaces
-    plain = head(anchored=False, narrow=0, walk_steps=())
+    plain = head(anchored=False, narrow=0, walks=0)
     return {
         "full": Variant(base, paper, "Tab. 3"),
         "no_filtering": Variant(base, paper, "Tab. 3", tau=math.inf),
@@ -78,8 +78,8 @@ def _variants() -> dict[str, Variant]:
         "without_pairs": Variant(base, replace(SHIPPED, pairs=0), "ours"),
         "without_stem": Variant(backbone(stem=0), SHIPPED, "ours"),
         "without_fan": Variant(head(fan_rays=0), SHIPPED, "ours"),
-        "one_walk": Variant(head(walk_steps=base.head.walk_steps[:1]), SHIPPED, "ours"),
-        "straight_prior": Variant(head(walk_steps=()), SHIPPED, "ours"),
+        "one_walk": Variant(head(walks=1), SHIPPED, "ours"),
+        "straight_prior": Variant(head(walks=0), SHIPPED, "ours"),
         "paper": Variant(FieldConfig.paper(), paper, "ours"),
     }
 

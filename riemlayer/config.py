@@ -9,6 +9,8 @@ BACKBONES = ("octree", "pointnet")
 SCALES, WALKS = 3, 4
 """Most walks over planes, and most walks: the last one is on a shell."""
 DECODERS = ("triplane", "siren")
+LAYERS = 3
+"""Linear layers of a decoder (appendix B)."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +68,16 @@ class HeadConfig:
     """Channels of a plane."""
     hidden: int = 128
     """Width of the decoder; the paper's is 256."""
-    layers: int = 3
-    """Linear layers of the decoder."""
     anchored: bool = True
     """Anchored residual maps, exact at the source (ours); False: the paper's plain decoder."""
     narrow: int = 32
     """Channels of the narrow embedding that is read at end points; 0: none, as in the paper."""
-    walk_steps: tuple[int, ...] = (12, 24, 6, 32)
-    """Steps of the walks that both maps start from, up to four: over planes half as large as the
-    leaves, a quarter as large, and as large; on the shell that a source beside the cloud lies on;
-    (): straight (q = p + v), as in the paper."""
+    walks: int = 4
+    """Walks that both maps start from, up to four: over planes half as large as the leaves, a
+    quarter as large, and as large; on the shell that a source beside the cloud lies on; 0: straight
+    (q = p + v), as in the paper."""
+    walk_steps: int = 16
+    """Steps of the walks over planes, which are taken together; on a shell twice as many."""
     fan_rays: int = 48
     """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: chords alone."""
     decoder: str = "triplane"
@@ -84,18 +86,15 @@ class HeadConfig:
     def __post_init__(self) -> None:
         if self.decoder not in DECODERS:
             raise ValueError(f"decoder must be one of {DECODERS}, got {self.decoder!r}")
-        if self.layers < 2:
-            raise ValueError(f"layers must be at least 2, got {self.layers}")
-        if not self.anchored and (self.narrow or self.walk_steps):
-            raise ValueError("narrow and walk_steps refine the anchored maps: set anchored=True")
+        if not self.anchored and (self.narrow or self.walks):
+            raise ValueError("narrow and walks refine the anchored maps: set anchored=True")
         if self.fan_rays < 0 or self.fan_rays in (1, 2):
             raise ValueError(f"fan_rays must be 0 or at least 3, got {self.fan_rays}")
-        walks = self.walk_steps
-        if not isinstance(walks, tuple) or len(walks) > WALKS or any(n < 1 for n in walks):
-            raise ValueError(
-                "walk_steps must be a tuple of at most four step numbers of at least 1, () for a "
-                f"straight prior, got {walks!r}"
-            )
+        if not 0 <= self.walks <= WALKS:
+            raise ValueError(f"walks must lie in [0, {WALKS}], got {self.walks}")
+        steps = self.walk_steps
+        if not isinstance(steps, int) or steps < 1:
+            raise ValueError(f"walk_steps must be an integer of at least 1, got {steps!r}")
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ class FieldConfig:
         )
         return cls(
             backbone,
-            HeadConfig(hidden=256, anchored=False, narrow=0, walk_steps=()),
+            HeadConfig(hidden=256, anchored=False, narrow=0, walks=0),
         )
 
     @classmethod
@@ -147,7 +146,7 @@ class FieldConfig:
                 channels=4,
                 hidden=48,
                 narrow=8,
-                walk_steps=(4, 8, 4, 8),
+                walk_steps=8,
                 fan_rays=12,
             ),
         )
@@ -173,13 +172,9 @@ class FieldConfig:
     def from_dict(cls, values: dict) -> FieldConfig:
         """Inverse of `to_dict`; unknown names raise."""
         try:
-            head = _tuples(values["head"])
-            head.setdefault("fan_rays", 0)  # before there were fans
-            if isinstance(walk := head.get("walk_steps"), int):  # before there were several walks
-                head["walk_steps"] = (walk,) if walk else ()
             rest = {k: v for k, v in values.items() if k not in ("backbone", "head")}
             backbone = BackboneConfig(**_tuples(values["backbone"]))
-            return cls(backbone=backbone, head=HeadConfig(**head), **rest)
+            return cls(backbone=backbone, head=HeadConfig(**values["head"]), **rest)
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"not the configuration of an ExpLogField: {error}") from error
 

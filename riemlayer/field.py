@@ -126,22 +126,22 @@ class ExpLogField(Pretrained, nn.Module):
                 "`normals` must be given: this field was made for clouds with oriented normals; "
                 "the packaged `base` is for clouds without"
             )
-        scales = min(max(1, len(self.config.head.walk_steps)), SCALES)
-        wide = scales // SCALES  # the last of them are wider than the first
+        walks = self.config.head.walks
+        finer, wider = min(max(0, walks - 1), 1), int(walks >= SCALES)
         octree = build_octree(
             points,
             batch,
-            backbone.depth + scales - wide,
-            coarsest=backbone.depth - max(len(backbone.encoder) - 1, 1 + wide),
+            backbone.depth + 1 + finer,
+            coarsest=backbone.depth - max(len(backbone.encoder) - 1, 1 + wider),
         )
         with self.half_precision():
-            every = planes_at_scales(points, octree, scales, normals, rims=1 + wide)
-            planes, *others = every[wide:] + every[:wide]
+            above = (finer, 0, 2)[: 1 + finer + wider]
+            planes = planes_at_scales(points, octree, above, normals, rims=1 + wider)
             told = (normals,) if backbone.normals else ()
             z = self.backbone(points, octree, planes, *told)
             narrow = None if self.narrow is None else self.narrow(z).to(points.dtype)
         level = octree.level(backbone.depth)
-        return Embedding(z.to(points.dtype), narrow, level, planes, tuple(others))
+        return Embedding(z.to(points.dtype), narrow, level, planes)
 
     def forward(
         self,

@@ -6,6 +6,7 @@ from dataclasses import FrozenInstanceError, fields, replace
 import pytest
 
 from riemlayer import BackboneConfig, FieldConfig, HeadConfig
+from riemlayer.config import LAYERS
 
 
 @pytest.mark.parametrize("name", ["base", "paper", "tiny"])
@@ -21,8 +22,8 @@ def test_paper_is_appendix_b():
     assert config.backbone.decoder == (128,) * 4 and config.backbone.decoder_blocks == (2, 2, 2)
     assert config.backbone.embedding == 256 and config.backbone.stem == 0
     head = config.head
-    assert (head.resolution, head.channels, head.layers, head.hidden) == (16, 8, 3, 256)
-    assert not head.anchored and not head.narrow and not head.walk_steps
+    assert (head.resolution, head.channels, LAYERS, head.hidden) == (16, 8, 3, 256)
+    assert not head.anchored and not head.narrow and not head.walks
 
 
 def test_unknown_preset_is_named():
@@ -50,12 +51,12 @@ def test_contradictory_backbones_raise(changes, words):
 @pytest.mark.parametrize(
     "changes, words",
     [
-        ({"layers": 1}, "layers must be at least 2, got 1"),
         ({"anchored": False}, "set anchored=True"),
-        ({"anchored": False, "walk_steps": ()}, "set anchored=True"),
-        ({"walk_steps": 8}, "tuple of at most four step numbers"),
-        ({"walk_steps": (8, 8, 8, 8, 8)}, "at most four"),
-        ({"walk_steps": (8, 0)}, r"at least 1.*got \(8, 0\)"),
+        ({"anchored": False, "walks": 0}, "set anchored=True"),
+        ({"walks": 5}, r"walks must lie in \[0, 4\], got 5"),
+        ({"walks": -1}, r"walks must lie in \[0, 4\], got -1"),
+        ({"walk_steps": (8, 8)}, r"walk_steps must be an integer.*got \(8, 8\)"),
+        ({"walk_steps": 0}, "walk_steps must be an integer of at least 1, got 0"),
     ],
 )
 def test_contradictory_heads_raise(changes, words):

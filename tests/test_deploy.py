@@ -15,7 +15,7 @@ from torch import Tensor
 from riemlayer import EncodedSurface, ExpLogField, FieldConfig, deploy
 
 BATCHES = {"one query": (1, 1), "one source": (1, 300), "many": (7, 5)}
-UNANCHORED = replace(FieldConfig.tiny().head, anchored=False, narrow=0, walk_steps=())
+UNANCHORED = replace(FieldConfig.tiny().head, anchored=False, narrow=0, walks=0)
 VARIANTS = {
     "tiny": FieldConfig.tiny(),
     "not anchored": replace(FieldConfig.tiny(), head=UNANCHORED),

@@ -5,14 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.geometry.walk import fade_in
 
 STEEP = 0.1
 """How little of a chord along the normal is left when its tangent part is stretched."""
 
 
-def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:
+def lay_flat(normal: Tensor, x: Tensor, cell: float) -> Tensor:
     """Tangent part of chords `x` from a point, stretched to the chord's length: a first Log (ours).
 
     A chord is shorter than its geodesic and its tangent part shorter still, so |x| is the better
@@ -20,14 +19,14 @@ def lay_flat(planes: LocalPlanes, normal: Tensor, x: Tensor) -> Tensor:
     answer is `x` itself, as in `walk`.
 
     Args:
-        planes: of the cloud.
         normal: (S, 3) unit normals of the tangent planes.
         x: (S, K, 3).
+        cell: size of the planes' cells.
     """
-    return _near_identity(x, _flat(normal[:, None], x), planes)
+    return _near_identity(x, _flat(normal[:, None], x), cell)
 
 
-def bend(planes: LocalPlanes, normal: Tensor, x: Tensor, end: Tensor) -> Tensor:
+def bend(normal: Tensor, x: Tensor, end: Tensor, cell: float) -> Tensor:
     """Logs of chords `x` along which the normal turns evenly: right to the third order (ours).
 
     A geodesic whose normal turns by n' = -k t - w b, with normal curvature k and geodesic torsion
@@ -35,10 +34,10 @@ def bend(planes: LocalPlanes, normal: Tensor, x: Tensor, end: Tensor) -> Tensor:
     read from the normal at the end. To first order at 0 the answer is `x`, as in `walk`.
 
     Args:
-        planes: of the cloud.
         normal: (S, 3) unit normals at the sources.
         x: (S, K, 3).
         end: (S, K, 3) unit normals where the chords end; their sign has no meaning.
+        cell: size of the planes' cells.
     """
     n, tiny = normal[:, None], torch.finfo(x.dtype).tiny
     t = _flat(n, x)
@@ -49,7 +48,7 @@ def bend(planes: LocalPlanes, normal: Tensor, x: Tensor, end: Tensor) -> Tensor:
     curved = half_turn * along.square() / (along.square() + aside.square()).clamp_min(tiny)
     longer = 1 + curved / 6 + 0.075 * curved.square()  # asin(y) / y to the fifth order
     bent = longer * (t + sideways * b) / (1 + sideways.square()).sqrt()
-    return _near_identity(x, bent, planes)
+    return _near_identity(x, bent, cell)
 
 
 def _flat(normal: Tensor, x: Tensor) -> Tensor:
@@ -62,6 +61,6 @@ def _flat(normal: Tensor, x: Tensor) -> Tensor:
     return (square / (square - up + STEEP * up * (up / square)).clamp_min(tiny)).sqrt() * tangent
 
 
-def _near_identity(x: Tensor, log: Tensor, planes: LocalPlanes) -> Tensor:
+def _near_identity(x: Tensor, log: Tensor, cell: float) -> Tensor:
     """`log`, and near the source `x`."""
-    return x + fade_in(x.square().sum(-1, keepdim=True), planes) * (log - x)
+    return x + fade_in(x.square().sum(-1, keepdim=True), cell) * (log - x)

@@ -57,7 +57,7 @@ class FanLog(NamedTuple):
 
 
 def fan_of(
-    planes: LocalPlanes | Shell, p: Tensor, shape: Tensor, rays: int, radius: float, steps: int = 16
+    planes: LocalPlanes | Shell, p: Tensor, place: Tensor, rays: int, radius: float, steps: int = 16
 ) -> Fan:
     """Walk from each source along `rays` directions, and keep `LENGTHS` points of each geodesic.
 
@@ -68,23 +68,23 @@ def fan_of(
     Args:
         planes: of the cloud, or a shell around it.
         p: (S, 3) sources in the cube.
-        shape: (S,) int64, shape of each source; on a shell 0 to S - 1.
+        place: (S,) int64, shape and scale of each source; on a shell 0 to S - 1.
         rays: number of geodesics.
         radius: trained radius; they are `REACH` times as long.
         steps: of their walks, at least; as many from each point that is kept to the next.
     """
-    normal, height = planes.plane(p, shape)
+    normal, height = planes.plane(p, place)
     angle = torch.arange(rays, dtype=p.dtype, device=p.device) * (2 * math.pi / rays)
     e1, e2, _ = frame_of(normal)[:, None].unbind(-1)
     along = angle.cos()[:, None] * e1 + angle.sin()[:, None] * e2  # (S, rays, 3)
     across = torch.linalg.cross(normal[:, None].expand_as(along), along)
-    start, n, height, batch = (y.repeat_interleave(rays, 0) for y in (p, normal, height, shape))
+    start, n, height, place = (y.repeat_interleave(rays, 0) for y in (p, normal, height, place))
     at = Walked.starting(start, along.flatten(0, 1), n)
     each = math.ceil(steps / LENGTHS)
     stride = torch.full_like(height, REACH * radius / (LENGTHS * each))
     length, parts = torch.zeros_like(height), []
     for i in range(1, LENGTHS * each + 1):
-        at, turned = advance(planes, at, batch, stride)
+        at, turned = advance(planes, at, place, stride)
         length = length + stride + height * turned
         if i % each == 0:
             lifted = at.point + height * at.normal

@@ -1,9 +1,10 @@
-"""Planes of one level of the octree, and a look-up in several levels at once."""
+"""Planes of one level of the octree, and a look-up in three levels at once."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import torch
@@ -13,10 +14,13 @@ from torch.nn import functional as F
 from riemlayer.geometry.moments import NEGLIGIBLE, NEIGHBOURHOOD
 from riemlayer.numerics import segment_sum
 from riemlayer.octree import HALF_WIDTH, Level, corners
+from riemlayer.octree.build import DENSE_LIMIT, OCTANTS
 from riemlayer.octree.interpolate import trilinear
 
 BLEND = 0.5
 """Width, in cells, of the Gaussian that blends the planes around a query."""
+FINE, COARSE = slice(0, 2), slice(2, 3)
+"""Of the three grids of a scale the fine ones, of which the second is staggered, and the coarse."""
 
 
 class PlaneLevel(NamedTuple):
@@ -46,6 +50,10 @@ class PlaneLevel(NamedTuple):
         plane = torch.cat((centroid, normal * sign))
         return self._replace(plane=plane, other_side=torch.zeros_like(self.other_side))
 
+    def map(self, change: Callable[[Tensor], Tensor]) -> PlaneLevel:
+        """The same with `change` applied to every tensor."""
+        return PlaneLevel(self.level.map(change), *map(change, self[1:]))
+
     def nearest_of_eight(self, x: Tensor, batch: Tensor) -> Tensor:
         """Nearest (Q,) of the eight nodes around `x` (Q, 3); n where there is none."""
         node, weight = corners(self.level, x + self.shift, batch)
@@ -56,11 +64,8 @@ class PlaneLevel(NamedTuple):
         return self.plane[3:, self.nearest_of_eight(x, batch)].T
 
     def spacing(self, x: Tensor, batch: Tensor) -> Tensor:
-        """Distance (Q,) from point to point, in cells, if the nearest node's were a grid on a
-        sheet; no gradient. Infinite where there is no node.
-        """
-        around = F.pad(self.around.detach(), (0, 1))[self.nearest_of_eight(x, batch)]
-        return NEIGHBOURHOOD * (2 * math.pi / around).sqrt()
+        """`spacing_of` the nearest of the eight nodes around `x`; no gradient."""
+        return spacing_of(F.pad(self.around.detach(), (0, 1))[self.nearest_of_eight(x, batch)])
 
     def spectra(self, x: Tensor, batch: Tensor) -> Tensor:
         """Spread (Q, 6) of the cloud around `x` along its principal axes, in cells; no gradient.
@@ -78,67 +83,166 @@ class PlaneLevel(NamedTuple):
         return torch.cat((spread[:, 0], mean), -1)
 
 
+class Nodes(NamedTuple):
+    """The eight nodes around each of Q queries on each of G grids."""
+
+    node: Tensor
+    """(G, 8, Q) columns of `Grids.plane`."""
+    weight: Tensor
+    """(G, 8, Q) trilinear weights."""
+    sharpness: Tensor
+    """(G, 1, Q) what a squared distance from a centroid counts in the blend's exponent."""
+
+
 class Grids(NamedTuple):
-    """The planes of several levels G, laid out for a look-up in all of them at once."""
+    """The planes of all levels, laid out for a look-up in three of them at once.
+
+    Which three a query is looked up in says its place: place // batch_size is the scale, whose
+    fine, staggered and coarse level they are, and place % batch_size the shape.
+    """
 
     levels: tuple[Level, ...]
+    which: tuple[tuple[int, ...], ...]
+    """The three levels of each of W scales."""
     plane: Tensor
     """(6, sum of n + 1) of one level after the other."""
-    per_unit: Tensor
-    """(G, 1, 1) cells per unit length."""
-    first: Tensor
-    """(G, 1, 1) what is added to a coordinate in cells: a level's shift is in it."""
-    last: Tensor
-    """(G, 1, 1) coordinate, in cells, of the outermost cells' centres."""
-    sharpness: Tensor
-    """(G, 1, 1) what a squared distance from a centroid counts in the blend's exponent."""
+    around: Tensor
+    """(sum of n + 1,) see `PlaneLevel`; 0 of "no node"."""
+    first: tuple[int, ...]
+    """Where each level begins there."""
+    cells: Tensor | None
+    """The levels' dense grids one after the other, int32 into `plane`; None: too large."""
+    scaling: Tensor
+    """(3, 4, W) cells per unit length; what is added to a coordinate in cells, with the level's
+    shift in it; the coordinate, in cells, of the outermost cells' centres; what a squared distance
+    from a centroid counts in the blend's exponent."""
+    strides: Tensor
+    """(3, 4, W) int32: steps in `cells` to the next x, y, z and shape."""
+    corners: Tensor
+    """(3, 8, W) int32: entries there of the eight cells at the lowest corner of the first shape."""
     other_side: Tensor
     """() see `PlaneLevel`."""
 
     @classmethod
-    def of(cls, levels: Sequence[PlaneLevel]) -> Grids:
-        """Those of some levels."""
-        cells = [on.level.cell_size for on in levels]
-        shifts = torch.stack([on.shift for on in levels])[:, None, None]
-        per_unit, last, sharpness = shifts.new_tensor(
+    def of(cls, triples: Sequence[tuple[PlaneLevel, PlaneLevel, PlaneLevel]]) -> Grids:
+        """Those of some scales, of which levels may be shared."""
+        levels = list({id(on): on for triple in triples for on in triple}.values())
+        number = {id(on): i for i, on in enumerate(levels)}
+        which = [tuple(number[id(on)] for on in triple) for triple in triples]
+        own = [on.level for on in levels]
+        sizes = [len(level) + 1 for level in own]
+        first = tuple(accumulate(sizes, initial=0))[:-1]
+        sides = [(1 << level.depth) + 2 for level in own]  # a border of one empty cell
+        volumes = [level.batch_size * side**3 for level, side in zip(own, sides, strict=True)]
+        begin = torch.tensor(list(accumulate(volumes, initial=0))[:-1])
+        strides = torch.tensor([[side * side, side, 1, side**3] for side in sides])
+        corners = begin[:, None] + strides[:, :3] @ (OCTANTS + 1).T
+        strides, corners = (y.int().to(levels[0].plane.device) for y in (strides, corners))
+        shift = torch.stack([on.shift for on in levels])
+        unit, last, sharpness = shift.new_tensor(
             [
-                [1 / cell for cell in cells],
-                [(1 << on.level.depth) - 1 for on in levels],
-                [-0.5 / (BLEND * cell) ** 2 for cell in cells],
+                (1 / level.cell_size, (1 << level.depth) - 1, -0.5 / (BLEND * level.cell_size) ** 2)
+                for level in own
             ]
-        )[..., None, None]
-        first = (shifts + HALF_WIDTH) * per_unit - 0.5
-        plane = torch.cat([on.plane for on in levels], 1)
-        own = tuple(on.level for on in levels)
-        return cls(own, plane, per_unit, first, last, sharpness, levels[0].other_side)
+        ).T
+        scaling = torch.stack((unit, (shift + HALF_WIDTH) * unit - 0.5, last, sharpness), 1)
+        chosen = torch.tensor(which, device=shift.device)
+        scaling, strides, corners = (
+            y[chosen].permute(1, 2, 0).contiguous() for y in (scaling, strides, corners)
+        )
+        return cls(
+            tuple(own),
+            tuple(which),
+            torch.cat([on.plane for on in levels], 1),
+            torch.cat([F.pad(on.around.detach(), (0, 1)) for on in levels]),
+            first,
+            _joined([level.grid for level in own], first),
+            scaling,
+            strides,
+            corners,
+            levels[0].other_side,
+        )
 
-    def nodes(self, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
-        """Planes (6, G, 8, Q) of the eight nodes around `x` (3, Q) on each grid, and trilinear
-        weights (G, 8, Q)."""
-        t = torch.addcmul(self.first, x, self.per_unit)  # (G, 3, Q)
-        cells, weight = trilinear(t.clamp(torch.zeros_like(self.last), self.last))
-        nodes, rows = [], 0
-        for level, cell in zip(self.levels, cells, strict=True):
-            nodes.append(level.octants(cell, batch) + rows)
-            rows += len(level) + 1
-        near = self.plane.index_select(1, torch.cat(nodes).flatten())
-        return near.view(6, *weight.shape), weight
+    def nodes(self, x: Tensor, place: Tensor, grids: slice) -> Nodes:
+        """Those around `x` (3, Q) on some of the three grids."""
+        each = (y[grids] for y in (self.scaling, self.strides, self.corners))
+        if len(self.which) > 1:
+            scale = self.scale_of(place)
+            each = (y.index_select(-1, scale) for y in each)
+        scaling, strides, corners = each
+        unit, first, last, sharpness = scaling[:, :, None].unbind(1)
+        t = torch.addcmul(first, x, unit)  # (G, 3, Q)
+        cell, weight = trilinear(t.clamp(torch.zeros_like(t), last))
+        if self.cells is None:
+            return Nodes(self._searched(cell, place, grids), weight, sharpness)
+        lowest = (cell * strides[:, :3]).sum(1, keepdim=True, dtype=torch.int32)
+        if self.levels[0].batch_size > 1:
+            lowest = lowest + self.shape_of(place).int() * strides[:, 3:]
+        node = self.cells.index_select(0, (lowest + corners).flatten()).view(weight.shape)
+        return Nodes(node, weight, sharpness)
 
-    def blend(self, x: Tensor, batch: Tensor, towards: Tensor, offsets: bool = False) -> Tensor:
-        """Sums (5, G, Q) of oriented normals, signed distances of `x` (3, Q), and the weights.
+    def nearest(self, nodes: Nodes) -> Tensor:
+        """Normal (Q, 3) of the nearest of the eight nodes on the first grid; 0 without any."""
+        return self.plane[3:, self._nearest(nodes)].T
 
-        Each over the eight nodes around `x` on one grid; with `offsets` three more rows, the
-        offsets of `x` from their centroids.
-        """
-        near, weight = self.nodes(x, batch)
+    def spacing(self, nodes: Nodes) -> Tensor:
+        """`spacing_of` the nearest of the eight nodes (Q,) on the first grid, in its cells."""
+        return spacing_of(self.around[self._nearest(nodes)])
+
+    def _nearest(self, nodes: Nodes) -> Tensor:
+        node, weight = nodes.node[0], nodes.weight[0].detach()
+        best = (weight * (self.around[node] > 0)).argmax(0, keepdim=True)
+        return node.gather(0, best).squeeze(0)
+
+    def scale_of(self, place: Tensor) -> Tensor:
+        """Scale (Q,) of each place (Q,)."""
+        size = self.levels[0].batch_size
+        return place if size == 1 else place.div(size, rounding_mode="floor")
+
+    def shape_of(self, place: Tensor) -> Tensor:
+        """Shape (Q,) of each place (Q,)."""
+        return place.remainder(self.levels[0].batch_size)
+
+    def _searched(self, cell: Tensor, place: Tensor, grids: slice) -> Tensor:
+        """Nodes (G, 8, Q) at cells (G, 3, Q), level by level."""
+        node = place.new_zeros(len(cell), 8, len(place))
+        scale, shape = self.scale_of(place), self.shape_of(place)
+        for w, triple in enumerate(self.which):
+            rows = (scale == w).nonzero().squeeze(-1)
+            for g, i in enumerate(triple[grids]):
+                found = self.levels[i].octants(cell[g, :, rows], shape[rows])
+                node[g, :, rows] = found.long() + self.first[i]
+        return node
+
+    def blend(self, nodes: Nodes, x: Tensor, towards: Tensor) -> Tensor:
+        """Sums (8, Q) of oriented normals, signed distances of `x` (3, Q), the weights, and the
+        offsets of `x` from the centroids over all `nodes`."""
+        node, weight, sharpness = nodes
+        near = self.plane.index_select(1, node.flatten()).view(6, *node.shape)
         centroid, normal = near.split(3)  # (3, G, 8, Q)
         offset = x[:, None, None] - centroid
-        exponent = offset.square().sum(0) * self.sharpness
+        exponent = offset.square().sum(0) * sharpness
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
         agree = (normal.detach() * towards.detach()[:, None, None]).sum(0)
         sign = weight * torch.where(agree < 0, self.other_side, 1.0)
         normal, weight = sign * normal, sign.abs()
-        sums = [normal.sum(2), (normal * offset).sum((0, 2))[None], weight.sum(1)[None]]
-        if offsets:
-            sums.append((offset * weight).sum(2))
-        return torch.cat(sums)
+        distance, total = (normal * offset).sum((0, 1, 2)), weight.sum((0, 1))
+        beside = (offset * weight).sum((1, 2))
+        return torch.cat((normal.sum((1, 2)), distance[None], total[None], beside))
+
+
+def _joined(grids: list[Tensor | None], first: Sequence[int]) -> Tensor | None:
+    """Dense grids one after the other, with `first` added to each; None where too large."""
+    dense = [grid for grid in grids if grid is not None]
+    if len(dense) < len(grids) or sum(map(len, dense)) > DENSE_LIMIT:
+        return None
+    whole = torch.cat(dense)
+    for part, k in zip(whole.split([len(grid) for grid in dense]), first, strict=True):
+        part += k
+    return whole
+
+
+def spacing_of(around: Tensor) -> Tensor:
+    """Distance from point to point, in cells, if the points `around` a node were a grid on a sheet;
+    infinite where there is no node, around which there are 0."""
+    return NEIGHBOURHOOD * (2 * math.pi / around).sqrt()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from riemlayer.geometry.grids import Grids, PlaneLevel
+from riemlayer.geometry.grids import COARSE, FINE, Grids, Nodes, PlaneLevel
 from riemlayer.geometry.moments import Moments
 from riemlayer.numerics import normalise, outer6, smallest_eigenvector, symmetric_eigenvalues
 from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, nearest_node
@@ -40,13 +40,12 @@ class Sight(NamedTuple):
     """(Q, 1) signed distances from the plane."""
     support: Tensor
     """(Q, 1) from 0, where there are no planes, to 1."""
-    beside: Tensor | None
-    """(Q, 3) where the place lies beside the mean of the centroids around it, within the plane:
-    small well inside a sheet; outside its rim it points away from it; 0 far from every node.
-    None: these planes' rims have no meaning."""
+    beside: Tensor
+    """(Q, 3) where `x` lies beside the mean of the centroids around it, within the plane: small
+    well inside a sheet; outside its rim it points away from it; 0 far from every node."""
 
 
-class LocalPlanes(NamedTuple):
+class Scale(NamedTuple):
     """Planes at two adjacent levels: fine ones, and coarse ones where fine nodes are missing.
 
     The fine ones come twice, on two grids of which one is shifted against the other (ours): what
@@ -56,83 +55,142 @@ class LocalPlanes(NamedTuple):
     fine: PlaneLevel
     coarse: PlaneLevel
     staggered: PlaneLevel
-    grids: Grids
-    """The three of them: fine, staggered, coarse."""
     rims: bool
     """Whether walks look for rims of sheets: finer planes have gaps wherever points are sparse."""
 
-    @classmethod
-    def of(
-        cls, fine: PlaneLevel, coarse: PlaneLevel, staggered: PlaneLevel, rims: bool
-    ) -> LocalPlanes:
-        """Those of three levels."""
-        return cls(fine, coarse, staggered, Grids.of((fine, staggered, coarse)), rims)
+    @property
+    def levels(self) -> tuple[PlaneLevel, PlaneLevel, PlaneLevel]:
+        """In the order of `Grids`."""
+        return self.fine, self.staggered, self.coarse
 
-    def at(self, x: Tensor, batch: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
+    def with_levels(self, new: dict[int, PlaneLevel]) -> Scale:
+        """The same with other levels, by the `id` of those here."""
+        fine, staggered, coarse = (new[id(on)] for on in self.levels)
+        return Scale(fine, coarse, staggered, self.rims)
+
+
+class LocalPlanes(NamedTuple):
+    """Planes of a packed batch of B clouds, at one scale or several.
+
+    Where one asks is said by a `place` for each query, which names a shape and a scale: of the
+    first scale it is the number of the shape, of the next B more, and so on.
+    """
+
+    scales: tuple[Scale, ...]
+    grids: Grids
+    """Those of all scales: fine, staggered, coarse."""
+    cells: Tensor
+    """(W,) cell sizes of the fine levels."""
+    rims: Tensor
+    """(W,) bool, see `Scale`."""
+
+    @classmethod
+    def of(cls, scales: Sequence[Scale]) -> LocalPlanes:
+        """Those of some scales."""
+        grids = Grids.of([scale.levels for scale in scales])
+        cells = grids.plane.new_tensor([scale.fine.level.cell_size for scale in scales])
+        rims = torch.tensor([scale.rims for scale in scales], device=cells.device)
+        return cls(tuple(scales), grids, cells, rims)
+
+    @property
+    def fine(self) -> PlaneLevel:
+        """Of the first scale."""
+        return self.scales[0].fine
+
+    @property
+    def coarse(self) -> PlaneLevel:
+        """Of the first scale."""
+        return self.scales[0].coarse
+
+    def places(self, shape: Tensor, scales: int) -> Tensor:
+        """Places (scales S,) of shapes (S,) at each of the first scales, one after the other."""
+        size = self.fine.level.batch_size
+        first = torch.arange(0, scales * size, size, device=shape.device)
+        return (first[:, None] + shape).flatten()
+
+    def cell(self, place: Tensor) -> Tensor:
+        """Cell size (Q, 1) of the fine level at each place."""
+        return self.cells[self.grids.scale_of(place), None]
+
+    def has_rims(self, place: Tensor) -> Tensor:
+        """Whether walks look for rims at each place, (Q,) bool."""
+        return self.rims[self.grids.scale_of(place)]
+
+    def at(self, x: Tensor, place: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
         """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
 
         Normals take the sign that agrees with `towards` (Q, 3). The weights are trilinear times a
         Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from
         every node the normal is `towards` and the distance 0.
         """
-        return _plane_of(self._blended(x, batch, towards), towards)
+        nodes = self.grids.nodes(x.T, place, FINE)
+        return _plane_of(self._blended(nodes, x, place, towards), towards)
 
-    def look(self, x: Tensor, batch: Tensor, towards: Tensor) -> Sight:
+    def look(self, x: Tensor, place: Tensor, towards: Tensor) -> Sight:
         """What a walk sees at `x` (Q, 3), coming with the normal `towards`."""
-        sums = self._blended(x, batch, towards, offsets=self.rims)
-        normal, gap = _plane_of(sums[:5], towards)
+        sums = self._blended(self.grids.nodes(x.T, place, FINE), x, place, towards)
+        normal, gap = _plane_of(sums, towards)
         weight = sums[4]
         support = (weight / (weight + HALF_SUPPORT))[:, None]
-        if not self.rims:
-            return Sight(normal, gap, support, None)
         offset = torch.where(weight > NOWHERE, sums[5:] / weight.clamp_min(NOWHERE), 0.0).T
         beside = offset - (offset * normal).sum(-1, keepdim=True) * normal
         return Sight(normal, gap, support, beside)
 
-    def _blended(self, x: Tensor, batch: Tensor, towards: Tensor, offsets: bool = False) -> Tensor:
-        """`Grids.blend` summed over the fine grids, and the coarse one where they have little."""
-        *fine, coarse = self.grids.blend(x.T, batch, towards.T, offsets).unbind(1)
-        sums = fine[0] + fine[1]
-        thin = (sums[4].detach() < 30 * FALLBACK).to(x.dtype)
-        return torch.addcmul(sums, coarse, thin, value=FALLBACK)
+    def _blended(self, nodes: Nodes, x: Tensor, place: Tensor, towards: Tensor) -> Tensor:
+        """`Grids.blend` over the fine grids, and over the coarse one where they have little."""
+        sums = self.grids.blend(nodes, x.T, towards.T)
+        thin = (sums[4].detach() < 30 * FALLBACK).nonzero().squeeze(-1)
+        if not len(thin):
+            return sums
+        x, towards = x[thin].T, towards[thin].T
+        coarse = self.grids.blend(self.grids.nodes(x, place[thin], COARSE), x, towards)
+        return sums.index_add(1, thin, coarse, alpha=FALLBACK)
 
-    def normal(self, p: Tensor, batch: Tensor) -> Tensor:
+    def normal(self, p: Tensor, place: Tensor) -> Tensor:
         """Unit normals (Q, 3) at `p`, with the sign of the nearest node's; the z axis far away."""
-        return self.plane(p, batch)[0]
+        return self.plane(p, place)[0]
 
-    def plane(self, p: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
+    def plane(self, p: Tensor, place: Tensor, side: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """`normal` (Q, 3) at `p`, and the height (Q, 1) of `p` above the plane there.
 
         A fixed direction would not do for the sign: around a wall that it lies in, signs would be
         arbitrary and the normals of neighbouring nodes cancel.
-        """
-        towards = self.fine.nearest(p, batch)
-        lost = (towards == 0).all(-1).nonzero().squeeze(-1)
-        if len(lost):
-            coarse = self.coarse.nearest(p[lost], batch[lost])
-            z_axis = coarse.new_tensor([0.0, 0.0, 1.0])
-            coarse = torch.where((coarse == 0).all(-1, keepdim=True), z_axis, coarse)
-            towards = towards.index_copy(0, lost, coarse)
-        return self.at(p, batch, towards)
 
-    def drop(self, x: Tensor, batch: Tensor, rounds: int = 3) -> Tensor:
+        Args:
+            side: (Q, 3) what gives the sign where no fine node is near, instead of a coarse one.
+        """
+        nodes = self.grids.nodes(p.T, place, FINE)
+        towards = self.grids.nearest(nodes)
+        lost = (towards == 0).all(-1, keepdim=True)
+        if bool(lost.any()):
+            if side is None:
+                side = self.grids.nearest(self.grids.nodes(p.T, place, COARSE))
+                z_axis = side.new_tensor([0.0, 0.0, 1.0])
+                side = torch.where((side == 0).all(-1, keepdim=True), z_axis, side)
+            towards = torch.where(lost, side, towards)
+        return _plane_of(self._blended(nodes, p, place, towards), towards)
+
+    def spacing(self, x: Tensor, place: Tensor) -> Tensor:
+        """Distance (Q,) from point to point around `x`, in coarse cells."""
+        return self.grids.spacing(self.grids.nodes(x.T, place, COARSE))
+
+    def drop(self, x: Tensor, shape: Tensor, rounds: int = 3) -> Tensor:
         """Points (Q, 3) moved onto the planes around them; from afar via the nearest node."""
-        near = torch.stack([level.nearest(x, batch) for level in (self.fine, self.coarse)])
-        lost = (near == 0).all(-1).all(0).nonzero().squeeze(-1)
+        nodes = (self.grids.nodes(x.T, shape, which) for which in (FINE, COARSE))
+        near = torch.cat([self.grids.nearest(y) for y in nodes], -1)
+        lost = (near == 0).all(-1).nonzero().squeeze(-1)
         if len(lost):
-            node = nearest_node(self.fine.level, x.detach()[lost], batch[lost])
+            node = nearest_node(self.fine.level, x.detach()[lost], shape[lost])
             x = x.index_put((lost,), self.fine.plane[:3, node].T)
         for _ in range(rounds):
-            normal, gap = self.at(x, batch, self.normal(x, batch))
+            normal, gap = self.plane(x, shape)
             x = x - gap * normal
         return x
 
     def map(self, change: Callable[[Tensor], Tensor]) -> LocalPlanes:
         """The same with `change`, such as a move to another device, applied to every tensor."""
-        fine, coarse, staggered = (
-            PlaneLevel(on.level.map(change), *map(change, on[1:])) for on in self[:3]
-        )
-        return LocalPlanes.of(fine, coarse, staggered, self.rims)
+        levels = {id(on): on.map(change) for scale in self.scales for on in scale.levels}
+        return LocalPlanes.of([scale.with_levels(levels) for scale in self.scales])
 
     def point_features(self, points: Tensor, node: Tensor) -> Tensor:
         """What the stem is told of each point's plane: (N, 11), without units and without sign.
@@ -160,20 +218,25 @@ def local_planes(points: Tensor, octree: Octree) -> LocalPlanes:
     Args:
         points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
     """
-    return planes_at_scales(points, octree, 1)[0]
+    return planes_at_scales(points, octree, (0,))
 
 
 def planes_at_scales(
-    points: Tensor, octree: Octree, scales: int, normals: Tensor | None = None, rims: int = 1
-) -> tuple[LocalPlanes, ...]:
-    """Local planes at several scales, the coarsest first and the finest nodes' last (ours).
+    points: Tensor,
+    octree: Octree,
+    above: Sequence[int],
+    normals: Tensor | None = None,
+    rims: int = 1,
+) -> LocalPlanes:
+    """Local planes at several scales (ours).
 
     Args:
         points: (N, 3) in the cube, the points that `octree` was built from; differentiable.
-        scales: how many, each of half the cell size of the one before.
+        above: how many levels above the finest nodes of the octree those of each scale are.
         normals: (N, 3) oriented unit normals of the points: they give the planes' normals a sign.
         rims: at how many of the coarsest scales walks look for rims.
     """
+    scales = max(above) + 1
     cell = octree.level(octree.depth).cell_size
     shift, edge = STAGGER * cell, HALF_WIDTH - 0.1 * cell
     coarsest = octree.levels[0]
@@ -182,11 +245,9 @@ def planes_at_scales(
     other = build_octree(moved, shape, octree.depth, octree.depth - scales)
     every = _plane_levels(points, octree, scales, 0.0, normals)
     staggered = _plane_levels(points, other, scales - 1, shift, normals)
-    pairs = zip(every, every[1:], staggered, strict=False)
-    finest_first = [
-        LocalPlanes.of(*planes, rims=i >= scales - rims) for i, planes in enumerate(pairs)
-    ]
-    return tuple(reversed(finest_first))
+    return LocalPlanes.of(
+        [Scale(every[i], every[i + 1], staggered[i], i >= scales - rims) for i in above]
+    )
 
 
 def _plane_levels(

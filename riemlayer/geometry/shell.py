@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riemlayer.geometry.grids import PlaneLevel
+from riemlayer.geometry.grids import FINE
 from riemlayer.geometry.moments import NEGLIGIBLE
 from riemlayer.geometry.planes import LocalPlanes, Sight
 from riemlayer.numerics import normalise
@@ -41,10 +41,9 @@ class Shell(NamedTuple):
         """Through the sources (S, 3)."""
         return cls(planes, shape, distance(planes, p, shape)[0])
 
-    @property
-    def fine(self) -> PlaneLevel:
-        """What lengths are measured in."""
-        return self.planes.fine
+    def cell(self, source: Tensor) -> float:
+        """Cell size of the planes, the same at all sources."""
+        return self.planes.fine.level.cell_size
 
     def plane(self, p: Tensor, source: Tensor) -> tuple[Tensor, Tensor]:
         """Unit normals (Q, 3) of the shells at the sources, which lie on them: heights of 0."""
@@ -53,9 +52,9 @@ class Shell(NamedTuple):
     def look(self, x: Tensor, source: Tensor, towards: Tensor) -> Sight:
         """What a walk on the shells of its sources sees at `x` (Q, 3)."""
         away, normal = distance(self.planes, x, self.shape[source])
-        near = (away < REACH * self.fine.level.cell_size).to(x.dtype)
+        near = (away < REACH * self.cell(source)).to(x.dtype)
         gap = near * (away - self.level[source])
-        return Sight(torch.where(near > 0, normal, towards), gap, near, None)
+        return Sight(torch.where(near > 0, normal, towards), gap, near, torch.zeros_like(x))
 
 
 def distance(planes: LocalPlanes, x: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
@@ -63,9 +62,10 @@ def distance(planes: LocalPlanes, x: Tensor, batch: Tensor) -> tuple[Tensor, Ten
 
     A blend over the nodes around `x` of the two fine grids, in which the nearest disc prevails.
     """
-    near, weight = planes.grids.nodes(x.T, batch)
-    centroid, normal = near[:, :2].flatten(1, 2).split(3)  # (3, 16, Q)
-    weight = weight[:2].flatten(0, 1)
+    nodes = planes.grids.nodes(x.T, batch, FINE)
+    node, weight = (y.flatten(0, 1) for y in nodes[:2])  # (16, Q)
+    near = planes.grids.plane.index_select(1, node.flatten())
+    centroid, normal = near.view(6, *node.shape).split(3)
     cell = planes.fine.level.cell_size
     chord = x.T[:, None] - centroid
     height = (normal * chord).sum(0) * normal

@@ -51,7 +51,7 @@ def walk(
     planes: LocalPlanes | Shell,
     p: Tensor,
     v: Tensor,
-    batch: Tensor,
+    place: Tensor,
     steps: int = 8,
     plane: tuple[Tensor, Tensor] | None = None,
 ) -> Walked:
@@ -72,27 +72,28 @@ def walk(
         planes: of the cloud, or a shell around it.
         p: (Q, 3) starts, in the cube.
         v: (Q, 3) tangent vectors.
-        batch: (Q,) int64, shape of each start; its source on a shell.
+        place: (Q,) int64, shape and scale of each start; its source on a shell.
         steps: number of steps; 8 for the trained radius, |v| over half the spacing for a fine walk.
         plane: what `planes.plane` answers at `p`, where it is known already.
     """
-    normal, height = plane or planes.plane(p, batch)
+    normal, height = plane or planes.plane(p, place)
     square = v.square().sum(-1, keepdim=True)
-    negligible = (NEGLIGIBLE * planes.fine.level.cell_size) ** 2
+    cell = planes.cell(place)
+    negligible = (NEGLIGIBLE * cell) ** 2
     tilt = (normal * v).sum(-1, keepdim=True) / square.clamp_min(negligible)
     normal = normalise(normal - tilt * v)
     at = Walked.starting(p, v, normal)
     rest = torch.ones_like(square)
     for left in range(steps, 0, -1):
         share = rest.clamp_min(0) / left
-        at, turned = advance(planes, at, batch, share)
+        at, turned = advance(planes, at, place, share)
         rest = rest - share - height * turned / square.clamp_min(negligible)
     x = torch.addcmul(at.point, rest, at.vector)
-    return at._replace(point=p + v + fade_in(square, planes) * (x - p - v))
+    return at._replace(point=p + v + fade_in(square, cell) * (x - p - v))
 
 
 def advance(
-    planes: LocalPlanes | Shell, at: Walked, batch: Tensor, share: Tensor, halves: int = 2
+    planes: LocalPlanes | Shell, at: Walked, place: Tensor, share: Tensor, halves: int = 2
 ) -> tuple[Walked, Tensor]:
     """One step of a walk, by a share (Q, 1) of the carried vector.
 
@@ -103,28 +104,29 @@ def advance(
     the surface bends away from the normal.
     """
     x = at.point + share * at.vector
-    ahead, gap, support, beside = planes.look(x, batch, at.normal)
+    ahead, gap, support, beside = planes.look(x, place, at.normal)
     turned = ((ahead - at.normal) * at.vector).sum(-1, keepdim=True)
     x = torch.addcmul(x, gap, ahead, value=-1)
-    off, cosine = gap.abs() / planes.fine.level.cell_size, (at.normal * ahead).sum(-1, keepdim=True)
+    off, cosine = gap.abs() / planes.cell(place), (at.normal * ahead).sum(-1, keepdim=True)
     met = torch.cat((off, 1 - cosine, support, torch.zeros_like(gap)), -1)
     there = Walked(x, turn(at.vector, at.normal, ahead), ahead, at.met + met)
-    if beside is None or isinstance(planes, Shell):
+    if isinstance(planes, Shell):
         return there, turned
-    there = turn_back(planes, there, batch, share, beside)
-    rows = (beside.detach() == 0).all(-1).nonzero().squeeze(-1)
+    there = turn_back(planes, there, place, share, beside)
+    lost = (beside.detach() == 0).all(-1) & planes.has_rims(place)
+    rows = lost.nonzero().squeeze(-1)
     if halves == 1 or not len(rows):
         return there, turned
     again, total = Walked(*(y[rows] for y in at)), torch.zeros_like(turned[rows])
     for _ in range(halves):
-        again, bent = advance(planes, again, batch[rows], share[rows] / halves, halves=1)
+        again, bent = advance(planes, again, place[rows], share[rows] / halves, halves=1)
         total = total + bent
     parts = (y.index_copy(0, rows, z) for y, z in zip(there, again, strict=True))
     return Walked(*parts), turned.index_copy(0, rows, total)
 
 
 def turn_back(
-    planes: LocalPlanes, at: Walked, batch: Tensor, share: Tensor, beside: Tensor
+    planes: LocalPlanes, at: Walked, place: Tensor, share: Tensor, beside: Tensor
 ) -> Walked:
     """Reflects walks at the rims of sheets: they go on at the other side (ours).
 
@@ -134,20 +136,19 @@ def turn_back(
     plane further ahead either.
 
     Args:
-        planes, batch: as for `walk`.
+        planes, place: as for `walk`.
         at: walks after a step by `share` of their vectors.
         beside: (Q, 3) see `Sight`.
     """
-    cell = planes.fine.level.cell_size
     leaves = (beside * at.vector).sum(-1) > 0
-    leaves &= beside.square().sum(-1) > (RIM * cell) ** 2
-    rows = leaves.detach().nonzero().squeeze(-1)
-    rows = rows[planes.coarse.spacing(at.point[rows], batch[rows]) < SPARSE]
+    leaves &= beside.square().sum(-1) > (RIM * planes.cell(place)).square().squeeze(-1)
+    rows = (leaves & planes.has_rims(place)).nonzero().squeeze(-1)
+    rows = rows[planes.spacing(at.point[rows], place[rows]) < SPARSE]
     if not len(rows):
         return at
-    x, vector, normal, beside, share = (y[rows] for y in (*at[:3], beside, share))
-    beside, ends = _rim(planes, x, batch[rows], normal, beside)
-    outward = normalise(beside)
+    x, vector, normal, beside, share, place = (y[rows] for y in (*at[:3], beside, share, place))
+    beside, ends = _rim(planes, x, place, normal, beside)
+    cell, outward = planes.cell(place), normalise(beside)
     speed = ends * (vector * outward).sum(-1, keepdim=True).clamp_min(0)
     over = ((beside * outward).sum(-1, keepdim=True) - RIM * cell).clamp_min(0)
     over = torch.minimum(ends * over, speed * share)
@@ -160,19 +161,18 @@ def turn_back(
 
 
 def _rim(
-    planes: LocalPlanes, x: Tensor, batch: Tensor, normal: Tensor, beside: Tensor
+    planes: LocalPlanes, x: Tensor, place: Tensor, normal: Tensor, beside: Tensor
 ) -> tuple[Tensor, Tensor]:
     """How far beside a sheet places `x` (R, 3) lie, and 1 (R, 1) where it ends there, else 0.
 
     The first is a mean of what is seen there and to both sides along the rim: a few centroids alone
     say little about the rim's direction.
     """
-    cell, outward = planes.fine.level.cell_size, normalise(beside)
+    cell, outward = planes.cell(place), normalise(beside)
     along = torch.linalg.cross(normal, outward)
     places = [x + cell * way for way in (along, -along, *(k * outward for k in AHEAD))]
     repeats = len(places)
-    seen = planes.look(torch.cat(places), batch.repeat(repeats), normal.repeat(repeats, 1)).beside
-    assert seen is not None  # rims have a meaning here
+    seen = planes.look(torch.cat(places), place.repeat(repeats), normal.repeat(repeats, 1)).beside
     left, right, *ahead = seen.chunk(repeats)
     goes_on = [
         (y != 0).any(-1, keepdim=True) & ((y * outward).sum(-1, keepdim=True) < k * cell)
@@ -183,9 +183,9 @@ def _rim(
     return (beside + left + right) / known, ends.to(x.dtype)
 
 
-def fade_in(square: Tensor, planes: LocalPlanes | Shell) -> Tensor:
+def fade_in(square: Tensor, cell: float | Tensor) -> Tensor:
     """0 at the source with zero slope, 1 beyond `ANCHOR` cells, from squared lengths."""
-    return square / (square + (ANCHOR * planes.fine.level.cell_size) ** 2)
+    return square / (square + (ANCHOR * cell) ** 2)
 
 
 def turn(w: Tensor, n: Tensor, m: Tensor) -> Tensor:

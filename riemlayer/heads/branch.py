@@ -36,20 +36,13 @@ class Embedding(NamedTuple):
     """(n, narrow) a few channels of them, read at end points."""
     level: Level
     planes: LocalPlanes
-    """Half as large as the leaves."""
-    others: tuple[LocalPlanes, ...] = ()
-    """For further walks: a quarter as large, and as large."""
-
-    @property
-    def scales(self) -> tuple[LocalPlanes, ...]:
-        """All planes, in the order of the walks."""
-        return (self.planes, *self.others)
+    """Half as large as the leaves; for further walks a quarter as large, and as large."""
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Embedding:
         """The same with `change` applied to every tensor that depends on the cloud."""
         narrow = None if self.narrow is None else change(self.narrow)
-        planes, *others = (x.map(change) for x in (self.planes, *self.others))
-        return Embedding(change(self.z), narrow, self.level.map(change), planes, tuple(others))
+        planes = self.planes.map(change)
+        return Embedding(change(self.z), narrow, self.level.map(change), planes)
 
 
 class MapOutput(NamedTuple):
@@ -208,10 +201,10 @@ def sites(
     are. Then how dense the cloud is.
     """
     parts, heights = [], []
-    for planes, (normal, height) in zip(field.scales, seen, strict=True):
+    for scale, (normal, height) in zip(field.planes.scales, seen, strict=True):
         square = height.square()
-        heights.append(square / (square + (HIGH * planes.fine.level.cell_size) ** 2))
-        parts += [planes.fine.spectra(p, shape), outer6(normal)]
+        heights.append(square / (square + (HIGH * scale.fine.level.cell_size) ** 2))
+        parts += [scale.fine.spectra(p, shape), outer6(normal)]
     dense = 1 / (1 + field.planes.fine.spacing(p, shape))[:, None]
     return torch.cat((*parts, *heights, dense), -1)
 

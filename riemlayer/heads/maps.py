@@ -37,6 +37,8 @@ from riemlayer.octree import interpolate
 NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
 """Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
 beyond which none again: no geodesic is shorter than its chord."""
+ON_SHELL = 2
+"""Steps of a walk on a shell, in those of one over planes."""
 WALK = 13 + MET
 """Channels that Exp's decoder is told of a walk: 3 + 1 + 3 + 6, and what it met."""
 FAN = 13 + MET
@@ -59,7 +61,7 @@ class ExpHead(MapHead):
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        walks = len(config.walk_steps)
+        walks = config.walks
         self.scales, self.shells = min(walks, SCALES), walks == WALKS
         told = 2 + WALK * max(1, walks) + config.narrow + 3 * (walks > 0)
         told = told + SITE * max(1, self.scales) if config.anchored else 0
@@ -72,7 +74,7 @@ class ExpHead(MapHead):
         if self.gate is None:
             return Prepared(z, v)
         v = in_columns(torch.cat((torch.zeros_like(v[:, :1]), v), 1))  # (S, 1 + K, 3)
-        seen = [planes.plane(p, shape) for planes in field.scales]
+        seen = at_sources(field.planes, p, shape)
         first, *others = self.walks(field, p, v, shape, seen[0])
         told = [safe_norm(v) / self.radius, self.says(first, v, first.point - p[:, None] - v)]
         told += [self.says(end, v, end.point - first.point) for end in others]
@@ -80,7 +82,8 @@ class ExpHead(MapHead):
         ends = [end.point - p[:, None] for end in (first, *others)]
         if self.scales:
             square = v.square().sum(-1, keepdim=True)
-            lift = fade_in(square, field.planes) * seen[0][1][:, None] * first.normal
+            high = fade_in(square, field.planes.fine.level.cell_size) * seen[0][1][:, None]
+            lift = high * first.normal
             told.append(lift / self.radius)
             ends.append(lift)
         if self.shells:
@@ -96,15 +99,16 @@ class ExpHead(MapHead):
         return x
 
     def walks(
-        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, plane: tuple[Tensor, Tensor]
+        self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, plane: Sequence[Tensor]
     ) -> list[Walked]:
         """Where walks over the planes of each scale end (S, K, ...); a straight one without any."""
-        scales = field.scales[: self.scales]
-        if not scales:
+        if not self.scales:
             normal, met = plane[0][:, None].expand_as(v), v.new_zeros(*v.shape[:2], MET)
             return [Walked(p[:, None] + v, v, normal, met)]
-        steps = self.config.walk_steps
-        return [_walked(*on, p, v, shape, plane) for on in zip(scales, steps, strict=False)]
+        places = field.planes.places(shape, self.scales)
+        p, v, *plane = (y.repeat(self.scales, *[1] * (y.ndim - 1)) for y in (p, v, *plane))
+        end = _walked(field.planes, self.config.walk_steps, p, v, places, plane)
+        return [Walked(*y) for y in zip(*(y.chunk(self.scales) for y in end), strict=True)]
 
     def on_shells(
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, first: Walked, share: Tensor
@@ -117,8 +121,8 @@ class ExpHead(MapHead):
             return way, says
         start, source, share = p[rows], torch.arange(len(rows), device=p.device), share[rows, None]
         shell = Shell.through(field.planes, start, shape[rows])
-        steps, plane = self.config.walk_steps[-1], shell.plane(start, source)
-        end = _walked(shell, steps, start, v[rows], source, plane)
+        plane = shell.plane(start, source)
+        end = _walked(shell, ON_SHELL * self.config.walk_steps, start, v[rows], source, plane)
         away = end.point - first.point[rows]
         way = way.index_copy(0, rows, share * away)
         return way, says.index_copy(0, rows, share * self.says(end, v[rows], away))
@@ -142,14 +146,21 @@ class LogHead(MapHead):
     """
 
     def __init__(self, embedding: int, radius: float, config: HeadConfig) -> None:
-        scales = max(1, min(len(config.walk_steps), SCALES))
-        self.fans = len(config.walk_steps) if config.fan_rays else 0
+        scales = max(1, min(config.walks, SCALES))
+        self.fans = min(config.walks, SCALES) if config.fan_rays else 0
+        self.shells = bool(self.fans) and config.walks == WALKS
         self.bends = scales > 1
-        told = 4 + FAN * self.fans + BENT * self.bends + 2 * config.narrow + SITE * scales
+        told = (
+            4
+            + FAN * (self.fans + self.shells)
+            + BENT * self.bends
+            + 2 * config.narrow
+            + SITE * scales
+        )
         told = told if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        ways, others = (0,) * (self.fans == WALKS), self.fans + self.bends
-        self.gate = Gate(told, others, ways) if config.anchored else None
+        others = self.fans + self.shells + self.bends
+        self.gate = Gate(told, others, (0,) * self.shells) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
@@ -157,25 +168,25 @@ class LogHead(MapHead):
         if self.gate is None:
             return Prepared(z, x)
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
-        seen = [planes.plane(p, shape) for planes in field.scales]
-        flat = lay_flat(field.planes, seen[0][0], x)
+        seen = at_sources(field.planes, p, shape)
+        flat = lay_flat(seen[0][0], x, field.planes.fine.level.cell_size)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         told, priors = [(flat - x) / self.radius, *passed], [flat]
-        share, steps = fan_share(x / self.radius), self.config.walk_steps
-        scales = field.scales[: self.fans]
-        for planes, n in zip(scales, steps, strict=False):
-            fan, says = self.on_fan(planes, shape, n, p, x, flat, share)
-            priors.append(fan)
-            told.append(says)
-        if self.fans == WALKS:
-            share = share * beside(field, seen)[:, None]
-            shell = Shell.through(field.planes, p, shape)
-            source = torch.arange(len(p), device=p.device)
-            fan, says = self.on_fan(shell, source, steps[-1], p, x, flat, share)
-            priors.insert(1, fan - flat)
+        share = fan_share(x / self.radius)
+        if self.fans:
+            places = field.planes.places(shape, self.fans)
+            asked = (y.repeat(self.fans, *[1] * (y.ndim - 1)) for y in (p, x, flat, share))
+            fans, says = self.on_fan(field.planes, places, self.config.walk_steps, *asked)
+            priors += fans.chunk(self.fans)
+            told += says.chunk(self.fans)
+        if self.shells:
+            way, says = self.on_shells(
+                field, p, x, flat, shape, share * beside(field, seen)[:, None]
+            )
+            priors.insert(1, way)
             told.append(says)
         if self.bends:
-            bent, says = self.bent(field.scales[1], p, x, flat, shape, seen[1][0])
+            bent, says = self.bent(field.planes, p, x, flat, shape, seen[1][0])
             priors.append(bent)
             told.append(says)
         site = sites(field, p, shape, seen)
@@ -185,7 +196,7 @@ class LogHead(MapHead):
     def on_fan(
         self,
         ground: LocalPlanes | Shell,
-        index: Tensor,
+        place: Tensor,
         steps: int,
         p: Tensor,
         x: Tensor,
@@ -201,7 +212,7 @@ class LogHead(MapHead):
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        fan = fan_of(ground, p[rows], index[rows], self.config.fan_rays, self.radius, steps)
+        fan = fan_of(ground, p[rows], place[rows], self.config.fan_rays, self.radius, steps)
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)
@@ -211,6 +222,21 @@ class LogHead(MapHead):
         told = torch.cat(told, -1)
         told = torch.cat((away / self.radius, share * told), -1)
         return flat.index_put(part, start + away), known.index_put(part, told)
+
+    def on_shells(
+        self, field: Embedding, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor, share: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """`on_fan` over the shells that sources beside the cloud lie on; the way from `flat`."""
+        rows = share.detach().flatten(1).any(-1).nonzero().squeeze(-1)
+        way, says = torch.zeros_like(x), x.new_zeros(*x.shape[:2], FAN)
+        if not len(rows):
+            return way, says
+        shell = Shell.through(field.planes, p[rows], shape[rows])
+        source = torch.arange(len(rows), device=p.device)
+        asked = (y[rows] for y in (p, x, flat, share))
+        log, told = self.on_fan(shell, source, ON_SHELL * self.config.walk_steps, *asked)
+        way = way.index_copy(0, rows, log - flat[rows])
+        return way, says.index_copy(0, rows, told)
 
     def bent(
         self,
@@ -222,14 +248,12 @@ class LogHead(MapHead):
         normal: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Bent chords (S, K, 3), and what is told of them and of the planes at q (S, K, BENT)."""
-        q, index = (p[:, None] + x).flatten(0, 1), shape.repeat_interleave(x.shape[1], 0)
-        towards = planes.fine.nearest(q, index)
-        nowhere = (towards == 0).all(-1, keepdim=True)
-        towards = torch.where(nowhere, normal.repeat_interleave(x.shape[1], 0), towards)
-        end, gap = planes.at(q, index, towards)
+        q, place = (p[:, None] + x).flatten(0, 1), shape + planes.fine.level.batch_size
+        place, side = (y.repeat_interleave(x.shape[1], 0) for y in (place, normal))
+        end, gap = planes.plane(q, place, side)
         gap, through = gap * end, outer6(end)
         end, gap, through = (y.unflatten(0, x.shape[:2]) for y in (end, gap, through))
-        bent = bend(planes, normal, x, end)
+        bent = bend(normal, x, end, planes.scales[1].fine.level.cell_size)
         told = (bent - flat) / self.radius, through, gap / self.radius
         return bent, torch.cat(told, -1)
 
@@ -242,21 +266,28 @@ def _walked(
     steps: int,
     p: Tensor,
     v: Tensor,
-    index: Tensor,
-    plane: tuple[Tensor, Tensor],
+    place: Tensor,
+    plane: Sequence[Tensor],
 ) -> Walked:
     """Where walks of S sources along v (S, K, 3) end (S, K, ...); of what they met the mean."""
-    start, index, normal, height = (y.repeat_interleave(v.shape[1], 0) for y in (p, index, *plane))
-    end = walk(ground, start, v.flatten(0, 1), index, steps, (normal, height))
+    start, place, normal, height = (y.repeat_interleave(v.shape[1], 0) for y in (p, place, *plane))
+    end = walk(ground, start, v.flatten(0, 1), place, steps, (normal, height))
     end = end._replace(met=end.met / steps)
     return Walked(*(y.unflatten(0, v.shape[:2]) for y in end))
+
+
+def at_sources(planes: LocalPlanes, p: Tensor, shape: Tensor) -> list[tuple[Tensor, Tensor]]:
+    """What `LocalPlanes.plane` answers at the sources (S, 3) on each scale."""
+    scales = len(planes.scales)
+    normal, height = planes.plane(p.repeat(scales, 1), planes.places(shape, scales))
+    return list(zip(normal.chunk(scales), height.chunk(scales), strict=True))
 
 
 def beside(field: Embedding, seen: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
     """Share (S, 1) that shells have at the sources: 0 on the cloud, 1 well beside it.
 
     By the heights above the finest planes, which sharp edges hardly raise; above the first ones
-    where there are none. `seen` is what `LocalPlanes.plane` answers at the sources on each scale.
+    where there are none. `seen` is what `at_sources` answers.
     """
     (_, wide), (_, finest), *_ = seen
     height = torch.where(finest == 0, wide, finest)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from riemlayer.config import HeadConfig
+from riemlayer.config import LAYERS, HeadConfig
 
 W0 = 30.0
 """Frequency of the sines (Sitzmann et al. 2020)."""
@@ -27,7 +27,8 @@ class SirenDecoder(nn.Module):
     Args:
         embedding: C, channels of z.
         inputs: channels of the query and of what else the decoder is told.
-        config: width and number of linear layers.
+        config: width.
+        layers: number of linear layers.
 
     Shapes: z (S, C), x (S, K, 3), told (S, K, ...), site (S, ...) -> (S, K, 3), and what
     `read` makes of the hidden features, (..., width) -> (...), as (S, K).
@@ -38,11 +39,13 @@ class SirenDecoder(nn.Module):
     [torch.Size([2, 7, 3]), torch.Size([2, 7])]
     """
 
-    def __init__(self, embedding: int, inputs: int, config: HeadConfig) -> None:
+    def __init__(
+        self, embedding: int, inputs: int, config: HeadConfig, layers: int = LAYERS
+    ) -> None:
         super().__init__()
-        widths = [inputs, *[config.hidden] * (config.layers - 1)]
+        widths = [inputs, *[config.hidden] * (layers - 1)]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
-        self.film = nn.Linear(embedding, 2 * (config.layers - 1) * config.hidden)
+        self.film = nn.Linear(embedding, 2 * (layers - 1) * config.hidden)
         self.out = nn.Linear(config.hidden, 3)
         bound = math.sqrt(6 / config.hidden) / W0
         for i, layer in enumerate([*self.layers, self.out]):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from riemlayer.config import HeadConfig
+from riemlayer.config import LAYERS, HeadConfig
 from riemlayer.numerics import weighted_rows
 
 PLANES = ((0, 1), (0, 2), (1, 2))
@@ -117,20 +117,21 @@ class TriplaneDecoder(nn.Module):
 
     Args:
         inputs: channels of the query and of what else the decoder is told.
-        config: planes, width and layers.
+        config: planes and width.
+        layers: number of linear layers.
 
     Shapes: planes (S, 3, R, R, C), x (S, K, 3), told (S, K, ...), site (S, ...) -> (S, K, 3), and
     what `read` makes of the hidden features, (N, width) -> (N,), as (S, K).
     """
 
-    def __init__(self, inputs: int, config: HeadConfig) -> None:
+    def __init__(self, inputs: int, config: HeadConfig, layers: int = LAYERS) -> None:
         super().__init__()
         self.resolution = config.resolution
-        widths = [3 * config.channels + inputs, *[config.hidden] * (config.layers - 1)]
-        layers = []
+        widths = [3 * config.channels + inputs, *[config.hidden] * (layers - 1)]
+        body = []
         for a, b in pairwise(widths):
-            layers += [nn.Linear(a, b), nn.GELU()]
-        self.body = nn.Sequential(*layers)
+            body += [nn.Linear(a, b), nn.GELU()]
+        self.body = nn.Sequential(*body)
         self.out = nn.Linear(config.hidden, 3)
         if config.anchored:
             nn.init.normal_(self.out.weight, std=0.01)

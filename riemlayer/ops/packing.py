@@ -15,28 +15,23 @@ from riemlayer.octree import Level, Octree, build_octree
 def packed(parts: list[tuple[Embedding, int]]) -> Embedding:
     """One batch of several, each with the number of its first cloud."""
     embeddings = [embedding for embedding, _ in parts]
-    scales = [*zip(*(x.scales for x in embeddings), strict=True)]
+    planes = [x.planes for x in embeddings]
     first = [i for _, i in parts]
-    finest = max(scales, key=lambda scale: scale[0].fine.level.depth)
-    coarsest = min(scale[0].coarse.level.depth for scale in scales)
-    octree = _octree([x.fine.level for x in finest], first, coarsest)
-    other = _octree([x.staggered.level for x in finest], first, coarsest)
+    finest = max((scale.fine.level.depth, i) for i, scale in enumerate(planes[0].scales))[1]
+    coarsest = min(scale.coarse.level.depth for scale in planes[0].scales)
+    octree = _octree([x.scales[finest].fine.level for x in planes], first, coarsest)
+    other = _octree([x.scales[finest].staggered.level for x in planes], first, coarsest)
+    levels = {
+        id(own[0]): _joined(own, other if on == 1 else octree)
+        for scale in zip(*(x.scales for x in planes), strict=True)
+        for on, own in enumerate(zip(*(x.levels for x in scale), strict=True))
+    }
     narrow = [x.narrow for x in embeddings if x.narrow is not None]
-    planes, *others = (
-        LocalPlanes.of(
-            _joined([x.fine for x in scale], octree),
-            _joined([x.coarse for x in scale], octree),
-            _joined([x.staggered for x in scale], other),
-            scale[0].rims,
-        )
-        for scale in scales
-    )
     return embeddings[0]._replace(
         z=torch.cat([x.z for x in embeddings]),
         narrow=torch.cat(narrow) if narrow else None,
         level=octree.level(embeddings[0].level.depth),
-        planes=planes,
-        others=tuple(others),
+        planes=LocalPlanes.of([scale.with_levels(levels) for scale in planes[0].scales]),
     )
 
 

@@ -36,7 +36,9 @@ def test_the_fan_is_nearer_to_the_closed_form_than_the_flat_chord(surface):
     v = torch.linalg.cross(normal, torch.randn_like(normal))
     v = v / v.norm(dim=-1, keepdim=True) * torch.linspace(0.1, RADIUS, 40)[:, None]
     x = surface.exp(p[:, None], v) - p[:, None]
-    flat = lay_flat(planes, planes.normal(p, torch.zeros(50, dtype=torch.long)), x)
+    flat = lay_flat(
+        planes.normal(p, torch.zeros(50, dtype=torch.long)), x, planes.fine.level.cell_size
+    )
     error = (log_on_fan(fan_at(planes, p), x).vector - v).norm(dim=-1)
     assert error.mean() < (flat - v).norm(dim=-1).mean() / 3
     assert error.max() < 0.03

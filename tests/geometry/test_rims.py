@@ -7,7 +7,7 @@ import torch
 from references import fibonacci_sphere, go, lumpy, planes_of
 from torch import Tensor
 
-from riemlayer.geometry import fan_of, log_on_fan
+from riemlayer.geometry import LocalPlanes, fan_of, log_on_fan
 from riemlayer.geometry.walk import RIM, SPARSE
 
 EDGE = 0.5
@@ -53,7 +53,7 @@ def test_at_the_rim_of_a_sheet_a_walk_is_reflected_and_turned_over(sheet, turned
 
 
 def test_without_rims_a_walk_leaves_the_sheet_straight(sheet):
-    planes = planes_of(sheet, 5)._replace(rims=False)
+    planes = LocalPlanes.of([planes_of(sheet, 5).scales[0]._replace(rims=False)])
     p = torch.tensor([[0.4, 0.0, 0.0]], dtype=torch.float64)
     v = torch.tensor([[0.4, 0.1, 0.0]], dtype=torch.float64)
     torch.testing.assert_close(go(planes, p, v, 16).point, p + v, rtol=0, atol=1e-9)
@@ -142,7 +142,7 @@ def test_round_the_edge_of_a_thin_slab():
     height = planes.plane(p, batch)[1]
     ends = []
     for rims in (True, False):
-        end = go(planes._replace(rims=rims), p, v, 16)
+        end = go(LocalPlanes.of([planes.scales[0]._replace(rims=rims)]), p, v, 16)
         ends.append((end.point + height * end.normal - exact).norm(dim=-1).mean())
     assert ends[0] < 0.05 and ends[0] < ends[1] / 6, ends
 

@@ -9,7 +9,7 @@ from references import fibonacci_sphere, go, lumpy, planes_of
 from torch import Tensor
 
 from riemlayer.data.closed_form import Cylinder, Sphere
-from riemlayer.geometry import local_planes, turn, walk
+from riemlayer.geometry import local_planes, planes_at_scales, turn, walk
 from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.octree import build_octree
 
@@ -162,3 +162,18 @@ def test_gradients_at_zero_are_finite():
     (end.point.sum() + end.vector.sum() + end.normal.sum()).backward()
     for x in (p, v, points):
         assert x.grad is not None and x.grad.isfinite().all()
+
+
+def test_walks_over_several_scales_are_taken_together_as_alone():
+    points = lumpy(3000)
+    octree = build_octree(points, torch.zeros(3000, dtype=torch.long), 6)
+    planes = planes_at_scales(points, octree, (1, 0, 2), rims=2)
+    p = points[:40].repeat(3, 1)
+    v = 0.4 * torch.nn.functional.normalize(torch.randn(120, 3).double(), dim=-1)
+    place = planes.places(torch.zeros(40, dtype=torch.long), 3)
+    together = walk(planes, p, v, place, 12)
+    for i, scale in enumerate(planes.scales):
+        rows = slice(40 * i, 40 * (i + 1))
+        alone = go(LocalPlanes.of([scale]), p[rows], v[rows], 12)
+        for got, want in zip(together, alone, strict=True):
+            torch.testing.assert_close(got[rows], want)

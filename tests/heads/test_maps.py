@@ -9,15 +9,17 @@ from riemlayer.config import FieldConfig, HeadConfig
 from riemlayer.geometry.shell import HIGH as HIGHEST
 from riemlayer.heads import MapOutput
 from riemlayer.heads.branch import SITE, TRAINED, Gate, read_narrow, sites
-from riemlayer.heads.maps import BEYOND, MIDDLE, NEAR, fan_share
+from riemlayer.heads.maps import BEYOND, MIDDLE, NEAR, at_sources, fan_share
 
 HEADS = {
-    "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4,)),
-    "walked twice": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8)),
-    "three": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8, 3)),
-    "on shells": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=(4, 8, 3, 8)),
-    "straight": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walk_steps=()),
-    "told nothing": HeadConfig(resolution=8, channels=4, hidden=32, narrow=0, walk_steps=()),
+    "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walks=1, walk_steps=4),
+    "walked twice": HeadConfig(
+        resolution=8, channels=4, hidden=32, narrow=8, walks=2, walk_steps=6
+    ),
+    "three": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walks=3, walk_steps=5),
+    "on shells": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walks=4, walk_steps=5),
+    "straight": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walks=0),
+    "told nothing": HeadConfig(resolution=8, channels=4, hidden=32, narrow=0, walks=0),
 }
 
 
@@ -103,7 +105,7 @@ def test_what_is_told_of_sources_says_how_high_they_are_and_how_dense_the_cloud_
         seen = []
         for height in (0.001, 0.01, 0.05, -0.05):
             p = points[:: n // 20] * (1 + height / 0.9)
-            at_p = [planes.plane(p, shape) for planes in embedding.scales]
+            at_p = at_sources(embedding.planes, p, shape)
             site = sites(embedding, p, shape, at_p)
             assert site.shape[-1] == 3 * SITE + 1
             seen.append(site[:, -4:-1])

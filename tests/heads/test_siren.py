@@ -14,8 +14,8 @@ from riemlayer.heads import SirenDecoder
 TINY = FieldConfig.tiny()
 HEADS = {
     "anchored": replace(TINY.head, decoder="siren"),
-    "straight": replace(TINY.head, decoder="siren", narrow=0, walk_steps=()),
-    "plain": replace(TINY.head, decoder="siren", narrow=0, walk_steps=(), anchored=False),
+    "straight": replace(TINY.head, decoder="siren", narrow=0, walks=0),
+    "plain": replace(TINY.head, decoder="siren", narrow=0, walks=0, anchored=False),
 }
 MAPS = ["exp", "log"]
 
@@ -47,7 +47,7 @@ def test_decoder_is_chosen_by_its_name():
 
 def test_values_are_those_of_the_formula():
     """Layer by layer, query by query; what is read comes from the last hidden features."""
-    decoder = SirenDecoder(6, inputs=5, config=replace(HEADS["plain"], layers=4)).double()
+    decoder = SirenDecoder(6, inputs=5, config=HEADS["plain"], layers=4).double()
     z, x, told = (torch.randn(*n).double() for n in [(2, 6), (2, 3, 3), (2, 3, 2)])
     answer, read = decoder(z, x, (told,), z[:, :0], lambda hidden: hidden.sum(-1))
     film = (z @ decoder.film.weight.T + decoder.film.bias).view(2, 2, 3, -1)
@@ -63,8 +63,8 @@ def test_values_are_those_of_the_formula():
 
 def test_it_starts_as_sitzmann_et_al_start_it():
     """Uniform up to 1 / n, then sqrt(6 / n) / w0: the phases keep a standard deviation near 1."""
-    config = replace(HEADS["plain"], hidden=256, layers=5)
-    decoder = SirenDecoder(6, inputs=5, config=config)
+    config = replace(HEADS["plain"], hidden=256)
+    decoder = SirenDecoder(6, inputs=5, config=config, layers=5)
     bounds = [1 / 5, *[(6 / 256) ** 0.5 / 30] * 4]
     for layer, bound in zip([*decoder.layers, decoder.out], bounds, strict=True):
         assert 0.95 * bound < layer.weight.abs().max() <= bound

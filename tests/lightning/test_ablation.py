@@ -20,7 +20,7 @@ from riemlayer.storage import WEIGHTS
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:lightning")  # it talks of its own matters
 
 TINY = FieldConfig.tiny()
-PLAIN = replace(TINY, head=replace(TINY.head, anchored=False, narrow=0, walk_steps=()))
+PLAIN = replace(TINY, head=replace(TINY.head, anchored=False, narrow=0, walks=0))
 SMALL = {
     "one": Variant(TINY, SHIPPED, "ours"),
     "twin": Variant(TINY, SHIPPED, "Tab. 5"),

@@ -19,7 +19,7 @@ from riemlayer.losses import Truth
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:lightning")  # it talks of its own matters
 
 TINY = FieldConfig.tiny()
-PLAIN = replace(TINY, head=replace(TINY.head, anchored=False, narrow=0, walk_steps=()))
+PLAIN = replace(TINY, head=replace(TINY.head, anchored=False, narrow=0, walks=0))
 
 
 def test_the_rate_falls_with_the_time_where_there_is_no_last_step():

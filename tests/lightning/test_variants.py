@@ -28,7 +28,7 @@ def shrunk(variant: Variant) -> Variant:
             decoder=head.decoder,
             anchored=head.anchored,
             narrow=8 if head.narrow else 0,
-            walk_steps=TINY.head.walk_steps[: len(head.walk_steps)],
+            walks=head.walks,
             fan_rays=TINY.head.fan_rays if head.fan_rays else 0,
         ),
     )
