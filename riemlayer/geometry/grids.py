@@ -83,6 +83,30 @@ class PlaneLevel(NamedTuple):
         return torch.cat((spread[:, 0], mean), -1)
 
 
+class Scale(NamedTuple):
+    """Planes at two adjacent levels: fine ones, and coarse ones where fine nodes are missing.
+
+    The fine ones come twice, on two grids of which one is shifted against the other (ours): what
+    is blended of both depends less on where the cells happen to lie.
+    """
+
+    fine: PlaneLevel
+    coarse: PlaneLevel
+    staggered: PlaneLevel
+    rims: bool
+    """Whether walks look for rims of sheets: finer planes have gaps wherever points are sparse."""
+
+    @property
+    def levels(self) -> tuple[PlaneLevel, PlaneLevel, PlaneLevel]:
+        """In the order of `Grids`."""
+        return self.fine, self.staggered, self.coarse
+
+    def with_levels(self, new: dict[int, PlaneLevel]) -> Scale:
+        """The same with other levels, by the `id` of those here."""
+        fine, staggered, coarse = (new[id(on)] for on in self.levels)
+        return Scale(fine, coarse, staggered, self.rims)
+
+
 class Nodes(NamedTuple):
     """The eight nodes around each of Q queries on each of G grids."""
 
@@ -124,11 +148,11 @@ class Grids(NamedTuple):
     """() see `PlaneLevel`."""
 
     @classmethod
-    def of(cls, triples: Sequence[tuple[PlaneLevel, PlaneLevel, PlaneLevel]]) -> Grids:
+    def of(cls, scales: Sequence[Scale]) -> Grids:
         """Those of some scales, of which levels may be shared."""
-        levels = list({id(on): on for triple in triples for on in triple}.values())
+        levels = list({id(on): on for scale in scales for on in scale.levels}.values())
         number = {id(on): i for i, on in enumerate(levels)}
-        which = [tuple(number[id(on)] for on in triple) for triple in triples]
+        which = [tuple(number[id(on)] for on in scale.levels) for scale in scales]
         own = [on.level for on in levels]
         sizes = [len(level) + 1 for level in own]
         first = tuple(accumulate(sizes, initial=0))[:-1]

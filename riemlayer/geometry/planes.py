@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riemlayer.geometry.grids import COARSE, FINE, Grids, Nodes, PlaneLevel
+from riemlayer.geometry.grids import COARSE, FINE, Grids, Nodes, PlaneLevel, Scale
 from riemlayer.geometry.moments import Moments
 from riemlayer.numerics import normalise, outer6, smallest_eigenvector, symmetric_eigenvalues
 from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, nearest_node
@@ -45,30 +45,6 @@ class Sight(NamedTuple):
     well inside a sheet; outside its rim it points away from it; 0 far from every node."""
 
 
-class Scale(NamedTuple):
-    """Planes at two adjacent levels: fine ones, and coarse ones where fine nodes are missing.
-
-    The fine ones come twice, on two grids of which one is shifted against the other (ours): what
-    is blended of both depends less on where the cells happen to lie.
-    """
-
-    fine: PlaneLevel
-    coarse: PlaneLevel
-    staggered: PlaneLevel
-    rims: bool
-    """Whether walks look for rims of sheets: finer planes have gaps wherever points are sparse."""
-
-    @property
-    def levels(self) -> tuple[PlaneLevel, PlaneLevel, PlaneLevel]:
-        """In the order of `Grids`."""
-        return self.fine, self.staggered, self.coarse
-
-    def with_levels(self, new: dict[int, PlaneLevel]) -> Scale:
-        """The same with other levels, by the `id` of those here."""
-        fine, staggered, coarse = (new[id(on)] for on in self.levels)
-        return Scale(fine, coarse, staggered, self.rims)
-
-
 class LocalPlanes(NamedTuple):
     """Planes of a packed batch of B clouds, at one scale or several.
 
@@ -87,7 +63,7 @@ class LocalPlanes(NamedTuple):
     @classmethod
     def of(cls, scales: Sequence[Scale]) -> LocalPlanes:
         """Those of some scales."""
-        grids = Grids.of([scale.levels for scale in scales])
+        grids = Grids.of(scales)
         cells = grids.plane.new_tensor([scale.fine.level.cell_size for scale in scales])
         rims = torch.tensor([scale.rims for scale in scales], device=cells.device)
         return cls(tuple(scales), grids, cells, rims)

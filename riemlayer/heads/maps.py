@@ -106,7 +106,7 @@ class ExpHead(MapHead):
             normal, met = plane[0][:, None].expand_as(v), v.new_zeros(*v.shape[:2], MET)
             return [Walked(p[:, None] + v, v, normal, met)]
         places = field.planes.places(shape, self.scales)
-        p, v, *plane = (y.repeat(self.scales, *[1] * (y.ndim - 1)) for y in (p, v, *plane))
+        p, v, *plane = (torch.cat([y] * self.scales) for y in (p, v, *plane))
         end = _walked(field.planes, self.config.walk_steps, p, v, places, plane)
         return [Walked(*y) for y in zip(*(y.chunk(self.scales) for y in end), strict=True)]
 
@@ -150,16 +150,11 @@ class LogHead(MapHead):
         self.fans = min(config.walks, SCALES) if config.fan_rays else 0
         self.shells = bool(self.fans) and config.walks == WALKS
         self.bends = scales > 1
-        told = (
-            4
-            + FAN * (self.fans + self.shells)
-            + BENT * self.bends
-            + 2 * config.narrow
-            + SITE * scales
-        )
+        fans = self.fans + self.shells
+        told = 4 + FAN * fans + BENT * self.bends + 2 * config.narrow + SITE * scales
         told = told if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        others = self.fans + self.shells + self.bends
+        others = fans + self.bends
         self.gate = Gate(told, others, (0,) * self.shells) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
@@ -175,14 +170,13 @@ class LogHead(MapHead):
         share = fan_share(x / self.radius)
         if self.fans:
             places = field.planes.places(shape, self.fans)
-            asked = (y.repeat(self.fans, *[1] * (y.ndim - 1)) for y in (p, x, flat, share))
+            asked = (torch.cat([y] * self.fans) for y in (p, x, flat, share))
             fans, says = self.on_fan(field.planes, places, self.config.walk_steps, *asked)
             priors += fans.chunk(self.fans)
             told += says.chunk(self.fans)
         if self.shells:
-            way, says = self.on_shells(
-                field, p, x, flat, shape, share * beside(field, seen)[:, None]
-            )
+            share = share * beside(field, seen)[:, None]
+            way, says = self.on_shells(field, p, x, flat, shape, share)
             priors.insert(1, way)
             told.append(says)
         if self.bends:
