@@ -90,8 +90,8 @@ class HeadConfig:
             raise ValueError("narrow and walks refine the anchored maps: set anchored=True")
         if self.fan_rays < 0 or self.fan_rays in (1, 2):
             raise ValueError(f"fan_rays must be 0 or at least 3, got {self.fan_rays}")
-        if not 0 <= self.walks <= WALKS:
-            raise ValueError(f"walks must lie in [0, {WALKS}], got {self.walks}")
+        if self.walks not in range(WALKS + 1):
+            raise ValueError(f"walks must be an integer in [0, {WALKS}], got {self.walks!r}")
         steps = self.walk_steps
         if not isinstance(steps, int) or steps < 1:
             raise ValueError(f"walk_steps must be an integer of at least 1, got {steps!r}")

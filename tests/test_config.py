@@ -53,8 +53,9 @@ def test_contradictory_backbones_raise(changes, words):
     [
         ({"anchored": False}, "set anchored=True"),
         ({"anchored": False, "walks": 0}, "set anchored=True"),
-        ({"walks": 5}, r"walks must lie in \[0, 4\], got 5"),
-        ({"walks": -1}, r"walks must lie in \[0, 4\], got -1"),
+        ({"walks": 5}, r"walks must be an integer in \[0, 4\], got 5"),
+        ({"walks": -1}, r"integer in \[0, 4\], got -1"),
+        ({"walks": 2.5}, r"integer in \[0, 4\], got 2.5"),
         ({"walk_steps": (8, 8)}, r"walk_steps must be an integer.*got \(8, 8\)"),
         ({"walk_steps": 0}, "walk_steps must be an integer of at least 1, got 0"),
     ],
