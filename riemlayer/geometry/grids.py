@@ -59,10 +59,6 @@ class PlaneLevel(NamedTuple):
         node, weight = corners(self.level, x + self.shift, batch)
         return node.gather(-1, weight.argmax(-1, keepdim=True)).squeeze(-1)
 
-    def nearest(self, x: Tensor, batch: Tensor) -> Tensor:
-        """Normal (Q, 3) of the nearest of the eight nodes around `x`; 0 where there is none."""
-        return self.plane[3:, self.nearest_of_eight(x, batch)].T
-
     def spacing(self, x: Tensor, batch: Tensor) -> Tensor:
         """`spacing_of` the nearest of the eight nodes around `x`; no gradient."""
         return spacing_of(F.pad(self.around.detach(), (0, 1))[self.nearest_of_eight(x, batch)])
