@@ -73,11 +73,6 @@ class LocalPlanes(NamedTuple):
         """Of the first scale."""
         return self.scales[0].fine
 
-    @property
-    def coarse(self) -> PlaneLevel:
-        """Of the first scale."""
-        return self.scales[0].coarse
-
     def places(self, shape: Tensor, scales: int) -> Tensor:
         """Places (scales S,) of shapes (S,) at each of the first scales, one after the other."""
         size = self.fine.level.batch_size
@@ -92,18 +87,13 @@ class LocalPlanes(NamedTuple):
         """Whether walks look for rims at each place, (Q,) bool."""
         return self.rims[self.grids.scale_of(place)]
 
-    def at(self, x: Tensor, place: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
-        """Unit normal (Q, 3) at `x` and signed distance (Q, 1) of `x` from the blended plane.
+    def look(self, x: Tensor, place: Tensor, towards: Tensor) -> Sight:
+        """What a walk sees at `x` (Q, 3), coming with the normal `towards`.
 
         Normals take the sign that agrees with `towards` (Q, 3). The weights are trilinear times a
         Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from
         every node the normal is `towards` and the distance 0.
         """
-        nodes = self.grids.nodes(x.T, place, FINE)
-        return _plane_of(self._blended(nodes, x, place, towards), towards)
-
-    def look(self, x: Tensor, place: Tensor, towards: Tensor) -> Sight:
-        """What a walk sees at `x` (Q, 3), coming with the normal `towards`."""
         sums = self._blended(self.grids.nodes(x.T, place, FINE), x, place, towards)
         normal, gap = _plane_of(sums, towards)
         weight = sums[4]

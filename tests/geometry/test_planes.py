@@ -13,7 +13,7 @@ UP = torch.tensor([0.0, 0, 1], dtype=torch.float64)
 
 
 def at(planes: LocalPlanes, x: Tensor, towards: Tensor) -> tuple[Tensor, Tensor]:
-    return planes.at(x, torch.zeros(len(x), dtype=torch.long), towards.expand_as(x))
+    return planes.look(x, torch.zeros(len(x), dtype=torch.long), towards.expand_as(x))[:2]
 
 
 def tilted_plane(n: int = 4000) -> tuple[Tensor, Tensor]:
@@ -37,7 +37,7 @@ def test_planes_of_a_plane_are_that_plane():
 
 def test_normals_of_a_sphere_are_radial():
     points = fibonacci_sphere(8000)
-    normal, gap = planes_of(points, 5).at(points, torch.zeros(8000).long(), points)
+    normal, gap = planes_of(points, 5).look(points, torch.zeros(8000).long(), points)[:2]
     assert ((normal * points).sum(-1) > 0.999).all()
     assert gap.abs().max() < 0.01  # a fifth of the sagitta of a cell
 
@@ -157,7 +157,7 @@ def test_scales_are_the_planes_of_deeper_and_shallower_trees():
     points, batch = fibonacci_sphere(3000), torch.zeros(3000).long()
     wide, fine = planes_at_scales(points, build_octree(points, batch, 6), (1, 0)).scales
     for got, depth in ((wide, 5), (fine, 6)):
-        expected = local_planes(points, build_octree(points, batch, depth))
+        expected = local_planes(points, build_octree(points, batch, depth)).scales[0]
         for a, b in ((got.fine, expected.fine), (got.coarse, expected.coarse)):
             torch.testing.assert_close(a.plane, b.plane)
             torch.testing.assert_close(a.eigenvalues, b.eigenvalues)

@@ -64,15 +64,15 @@ def test_gaps_of_a_sparse_cloud_are_no_rims(n, turns):
     """Between points further apart than `SPARSE` allows a walk goes on."""
     sheet = grid(EDGE, n)
     planes = planes_of(sheet, 5)
-    spacing = 2 * EDGE / n / planes.coarse.level.cell_size
+    spacing = 2 * EDGE / n / planes.scales[0].coarse.level.cell_size
     assert (spacing < SPARSE) == turns
     middle, shape = 0.2 * sheet, torch.zeros(len(sheet), dtype=torch.long)
-    found = planes.coarse.spacing(middle, shape)
+    found = planes.scales[0].coarse.spacing(middle, shape)
     torch.testing.assert_close(found.mean().item(), spacing, rtol=0.2, atol=0)
     p = torch.tensor([[0.35, 0.0, 0.0]], dtype=torch.float64)
     end = go(planes, p, torch.tensor([[0.3, 0.02, 0.0]], dtype=torch.float64), 16)
     assert bool(end.met[0, 3]) == turns
-    assert planes.coarse.spacing(p + 9, shape[:1]).isinf().all()
+    assert planes.scales[0].coarse.spacing(p + 9, shape[:1]).isinf().all()
 
 
 def test_a_step_that_lands_in_the_air_is_taken_in_halves(sheet):
