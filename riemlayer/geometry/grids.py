@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from riemlayer.geometry.moments import NEGLIGIBLE, NEIGHBOURHOOD
+from riemlayer.geometry.rims import may_end
 from riemlayer.numerics import segment_sum
 from riemlayer.octree import HALF_WIDTH, Level, corners
 from riemlayer.octree.build import DENSE_LIMIT, OCTANTS
@@ -128,6 +129,8 @@ class Grids(NamedTuple):
     """(6, sum of n + 1) of one level after the other."""
     around: Tensor
     """(sum of n + 1,) see `PlaneLevel`; 0 of "no node"."""
+    may_end: Tensor
+    """(sum of n + 1,) bool, see `rims.may_end`; only of the coarse levels of scales with rims."""
     first: tuple[int, ...]
     """Where each level begins there."""
     cells: Tensor | None
@@ -148,6 +151,8 @@ class Grids(NamedTuple):
         """Those of some scales, of which levels may be shared."""
         levels = list({id(on): on for scale in scales for on in scale.levels}.values())
         number = {id(on): i for i, on in enumerate(levels)}
+        coarse = {id(scale.coarse): scale.coarse for scale in scales if scale.rims}
+        rims = {i: may_end(on.level, on.plane) for i, on in coarse.items()}
         which = [tuple(number[id(on)] for on in scale.levels) for scale in scales]
         own = [on.level for on in levels]
         sizes = [len(level) + 1 for level in own]
@@ -175,6 +180,7 @@ class Grids(NamedTuple):
             tuple(which),
             torch.cat([on.plane for on in levels], 1),
             torch.cat([F.pad(on.around.detach(), (0, 1)) for on in levels]),
+            torch.cat([rims.get(id(on), torch.zeros_like(on.plane[0]).bool()) for on in levels]),
             first,
             _joined([level.grid for level in own], first),
             scaling,
@@ -208,6 +214,10 @@ class Grids(NamedTuple):
     def spacing(self, nodes: Nodes) -> Tensor:
         """`spacing_of` the nearest of the eight nodes (Q,) on the first grid, in its cells."""
         return spacing_of(self.around[self._nearest(nodes)])
+
+    def ends(self, nodes: Nodes) -> Tensor:
+        """Whether the sheet may end (Q,) at one of the eight nodes on the first grid."""
+        return self.may_end[nodes.node[0]].any(0)
 
     def _nearest(self, nodes: Nodes) -> Tensor:
         node, weight = nodes.node[0], nodes.weight[0].detach()

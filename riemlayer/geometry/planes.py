@@ -27,6 +27,8 @@ HALF_SUPPORT = 0.1
 """Weight of the planes around a query that counts as half a support."""
 NOWHERE = 1e-10
 """Weight of the planes around a query below which there are none."""
+SPARSE = 0.6
+"""Spacing of the points, in coarse cells, from which on gaps between them look like rims."""
 NO_PLANE = 1e-3
 """Second eigenvalue, in squared cells, below which a neighbourhood is a point or a line."""
 
@@ -136,9 +138,10 @@ class LocalPlanes(NamedTuple):
             towards = torch.where(lost, side, towards)
         return _plane_of(self._blended(nodes, p, place, towards), towards)
 
-    def spacing(self, x: Tensor, place: Tensor) -> Tensor:
-        """Distance (Q,) from point to point around `x`, in coarse cells."""
-        return self.grids.spacing(self.grids.nodes(x.T, place, COARSE))
+    def may_end(self, x: Tensor, place: Tensor) -> Tensor:
+        """Whether the sheet may end (Q,) near `x`: points are dense there, and leave a gap."""
+        nodes = self.grids.nodes(x.T, place, COARSE)
+        return self.grids.ends(nodes) & (self.grids.spacing(nodes) < SPARSE)
 
     def drop(self, x: Tensor, shape: Tensor, rounds: int = 3) -> Tensor:
         """Points (Q, 3) moved onto the planes around them; from afar via the nearest node."""

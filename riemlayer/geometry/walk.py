@@ -19,8 +19,6 @@ RIM = 0.5
 sheet."""
 AHEAD = (1.0, 2.0)
 """Distances, in cells, at which it looks whether the sheet goes on."""
-SPARSE = 0.6
-"""Spacing of the points, in coarse cells, from which on gaps between them look like rims."""
 MET = 4
 """Channels of what a walk met."""
 NEGLIGIBLE = 0.05
@@ -132,8 +130,8 @@ def turn_back(
 
     Points do not tell the two sides of a thin sheet apart, and at its rim its planes end. A
     geodesic goes round the rim, and back below: that is, flattened out, a reflection at the rim,
-    with the normal turned over. A walk is at a rim if it has come from the sheet, and there is no
-    plane further ahead either.
+    with the normal turned over. A walk is at a rim if it has come from the sheet, if the sheet may
+    end there, and there is no plane further ahead either.
 
     Args:
         planes, place: as for `walk`.
@@ -143,7 +141,8 @@ def turn_back(
     leaves = (beside * at.vector).sum(-1) > 0
     leaves &= beside.square().sum(-1) > (RIM * planes.cell(place)).square().squeeze(-1)
     rows = (leaves & planes.has_rims(place)).nonzero().squeeze(-1)
-    rows = rows[planes.spacing(at.point[rows], place[rows]) < SPARSE]
+    if len(rows):
+        rows = rows[planes.may_end(at.point[rows], place[rows])]
     if not len(rows):
         return at
     x, vector, normal, beside, share, place = (y[rows] for y in (*at[:3], beside, share, place))

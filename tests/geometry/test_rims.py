@@ -8,7 +8,9 @@ from references import fibonacci_sphere, go, lumpy, planes_of
 from torch import Tensor
 
 from riemlayer.geometry import LocalPlanes, fan_of, log_on_fan
-from riemlayer.geometry.walk import RIM, SPARSE
+from riemlayer.geometry.planes import SPARSE
+from riemlayer.geometry.rims import may_end
+from riemlayer.geometry.walk import RIM
 
 EDGE = 0.5
 
@@ -193,3 +195,43 @@ def test_rims_have_gradients_and_forward_mode_agrees():
     step = 1e-6
     slope = (end(p, v + step * along, points) - end(p, v - step * along, points)) / (2 * step)
     torch.testing.assert_close(pushed, slope, rtol=0, atol=1e-5)
+
+
+def everywhere(planes: LocalPlanes) -> LocalPlanes:
+    """The same planes, with every node as one at which the sheet may end."""
+    grids = planes.grids
+    return planes._replace(grids=grids._replace(may_end=torch.ones_like(grids.may_end)))
+
+
+def test_sheets_may_end_at_their_rims_and_not_inside(sheet, turned):
+    coarse = planes_of(sheet @ turned.T, 5).scales[0].coarse
+    n, cell = len(coarse.level), coarse.level.cell_size
+    inside = EDGE - (coarse.plane[:3, :n].T @ turned).abs().amax(-1)
+    found = may_end(coarse.level, coarse.plane)
+    assert not found[n] and not found[:n][inside > 2 * cell].any() and (inside > 2 * cell).any()
+    rim = inside < 0.25 * cell
+    assert found[:n][rim].double().mean() > 0.95 and rim.sum() > 20
+
+
+@pytest.mark.parametrize(("width", "ends"), [(0.04, True), (1.0, False)])
+def test_closed_surfaces_end_only_where_they_are_narrower_than_a_cell(turned, width, ends):
+    """An ellipsoid, flat and thin or round."""
+    cloud = fibonacci_sphere(4000).double() * torch.tensor([0.8, 0.8 * width, 0.8 * width]).double()
+    coarse = planes_of(cloud @ turned.T, 5).scales[0].coarse
+    assert (may_end(coarse.level, coarse.plane)[:-1] == ends).all()
+
+
+def test_where_sheets_may_not_end_no_walk_would_have_turned_back(sheet, turned):
+    """Looking closer at fewer places changes no answer."""
+    holed = sheet[(sheet - torch.tensor([0.1, 0.1, 0.0])).norm(dim=-1) > 0.15]
+    for cloud in (sheet, holed, lumpy(3000).double()):
+        cloud = cloud @ turned.T
+        planes = planes_of(cloud, 5)
+        p = cloud[::53]
+        normal = planes.normal(p, torch.zeros(len(p), dtype=torch.long))
+        away = torch.nn.functional.normalize(torch.randn_like(p), dim=-1)
+        v = 0.5 * (away - (away * normal).sum(-1, keepdim=True) * normal)
+        end, again = go(planes, p, v, 16), go(everywhere(planes), p, v, 16)
+        torch.testing.assert_close(end.met[:, 3], again.met[:, 3])
+        torch.testing.assert_close(end.point, again.point)
+        assert bool(end.met[:, 3].any()) == (len(cloud) != 3000)

@@ -26,13 +26,13 @@ def test_queries_of_all_scales_and_shapes_are_answered_at_once_as_alone(several,
     place = torch.randint(0, 6, (len(x),))
     towards = torch.nn.functional.normalize(torch.randn_like(x), dim=-1)
     together = (*several.look(x, place, towards), *several.plane(x, place))
-    together = *together, several.cell(place), several.has_rims(place), several.spacing(x, place)
+    together = *together, several.cell(place), several.has_rims(place), several.may_end(x, place)
     for i, scale in enumerate(several.scales):
         alone = LocalPlanes.of([scale])
         rows = (place // 2 == i).nonzero().squeeze(-1)
         y, shape, up = x[rows], place[rows] % 2, towards[rows]
         expected = (*alone.look(y, shape, up), *alone.plane(y, shape))
-        expected = *expected, alone.cell(shape), alone.has_rims(shape), alone.spacing(y, shape)
+        expected = *expected, alone.cell(shape), alone.has_rims(shape), alone.may_end(y, shape)
         for got, want in zip(together, expected, strict=True):
             torch.testing.assert_close(got[rows], want)
         assert set(shape.tolist()) == {0, 1} and bool(alone.rims) == (i != 1)
