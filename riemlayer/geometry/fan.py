@@ -79,12 +79,12 @@ def fan_of(
     along = angle.cos()[:, None] * e1 + angle.sin()[:, None] * e2  # (S, rays, 3)
     across = torch.linalg.cross(normal[:, None].expand_as(along), along)
     start, n, height, place = (y.repeat_interleave(rays, 0) for y in (p, normal, height, place))
-    at = Walked.starting(start, along.flatten(0, 1), n)
+    at, site = Walked.starting(start, along.flatten(0, 1), n), planes.site(place)
     each = math.ceil(steps / LENGTHS)
     stride = torch.full_like(height, REACH * radius / (LENGTHS * each))
     length, parts = torch.zeros_like(height), []
     for i in range(1, LENGTHS * each + 1):
-        at, turned = advance(planes, at, place, stride)
+        at, turned = advance(planes, at, site, stride)
         length = length + stride + height * turned
         if i % each == 0:
             lifted = at.point + height * at.normal

@@ -13,6 +13,7 @@ from torch.nn import functional as F
 
 from riemlayer.geometry.moments import NEGLIGIBLE, NEIGHBOURHOOD
 from riemlayer.geometry.rims import may_end
+from riemlayer.geometry.site import Place, Site, place_of
 from riemlayer.numerics import segment_sum
 from riemlayer.octree import HALF_WIDTH, Level, corners
 from riemlayer.octree.build import DENSE_LIMIT, OCTANTS
@@ -20,7 +21,7 @@ from riemlayer.octree.interpolate import trilinear
 
 BLEND = 0.5
 """Width, in cells, of the Gaussian that blends the planes around a query."""
-FINE, COARSE = slice(0, 2), slice(2, 3)
+FINE, COARSE, ALL = slice(0, 2), slice(2, 3), slice(0, 3)
 """Of the three grids of a scale the fine ones, of which the second is staggered, and the coarse."""
 
 
@@ -143,8 +144,9 @@ class Grids(NamedTuple):
     """(3, 4, W) int32: steps in `cells` to the next x, y, z and shape."""
     corners: Tensor
     """(3, 8, W) int32: entries there of the eight cells at the lowest corner of the first shape."""
-    other_side: Tensor
-    """() see `PlaneLevel`."""
+    least: Tensor
+    """() least weight, with the sign of its normal: minus infinity, or 0 where the other side does
+    not count (`PlaneLevel.other_side`)."""
 
     @classmethod
     def of(cls, scales: Sequence[Scale]) -> Grids:
@@ -186,26 +188,33 @@ class Grids(NamedTuple):
             scaling,
             strides,
             corners,
-            levels[0].other_side,
+            torch.where(levels[0].other_side < 0, -torch.inf, 0.0).to(shift),
         )
 
-    def nodes(self, x: Tensor, place: Tensor, grids: slice) -> Nodes:
-        """Those around `x` (3, Q) on some of the three grids."""
-        each = (y[grids] for y in (self.scaling, self.strides, self.corners))
+    def site(self, place: Place) -> Site:
+        """What look-ups must know of places (Q,)."""
+        if isinstance(place, Site):
+            return place
+        each = self.scaling, self.strides, self.corners
         if len(self.which) > 1:
             scale = self.scale_of(place)
-            each = (y.index_select(-1, scale) for y in each)
+            each = tuple(y[..., scale] for y in each)
         scaling, strides, corners = each
-        unit, first, last, sharpness = scaling[:, :, None].unbind(1)
+        if self.levels[0].batch_size > 1:
+            corners = corners + self.shape_of(place).int() * strides[:, 3:]
+        return Site(place, scaling, strides[:, :3], corners)
+
+    def nodes(self, x: Tensor, place: Place, grids: slice) -> Nodes:
+        """Those around `x` (3, Q) on some of the three grids."""
+        at = self.site(place)
+        unit, first, last, sharpness = at.scaling[grids, :, None].unbind(1)
         t = torch.addcmul(first, x, unit)  # (G, 3, Q)
         cell, weight = trilinear(t.clamp(torch.zeros_like(t), last))
         if self.cells is None:
-            return Nodes(self._searched(cell, place, grids), weight, sharpness)
-        lowest = (cell * strides[:, :3]).sum(1, keepdim=True, dtype=torch.int32)
-        if self.levels[0].batch_size > 1:
-            lowest = lowest + self.shape_of(place).int() * strides[:, 3:]
-        node = self.cells.index_select(0, (lowest + corners).flatten()).view(weight.shape)
-        return Nodes(node, weight, sharpness)
+            return Nodes(self._searched(cell, at.place, grids), weight, sharpness)
+        lowest = (cell * at.strides[grids]).sum(1, keepdim=True, dtype=torch.int32)
+        index = (lowest + at.corners[grids]).flatten()
+        return Nodes(self.cells.index_select(0, index).view(weight.shape), weight, sharpness)
 
     def nearest(self, nodes: Nodes) -> Tensor:
         """Normal (Q, 3) of the nearest of the eight nodes on the first grid; 0 without any."""
@@ -224,9 +233,9 @@ class Grids(NamedTuple):
         best = (weight * (self.around[node] > 0)).argmax(0, keepdim=True)
         return node.gather(0, best).squeeze(0)
 
-    def scale_of(self, place: Tensor) -> Tensor:
+    def scale_of(self, place: Place) -> Tensor:
         """Scale (Q,) of each place (Q,)."""
-        size = self.levels[0].batch_size
+        size, place = self.levels[0].batch_size, place_of(place)
         return place if size == 1 else place.div(size, rounding_mode="floor")
 
     def shape_of(self, place: Tensor) -> Tensor:
@@ -245,8 +254,8 @@ class Grids(NamedTuple):
         return node
 
     def blend(self, nodes: Nodes, x: Tensor, towards: Tensor) -> Tensor:
-        """Sums (8, Q) of oriented normals, signed distances of `x` (3, Q), the weights, and the
-        offsets of `x` from the centroids over all `nodes`."""
+        """Sums (8, G, Q) of oriented normals, signed distances of `x` (3, Q), the weights, and the
+        offsets of `x` from the centroids over the eight `nodes` of each grid."""
         node, weight, sharpness = nodes
         near = self.plane.index_select(1, node.flatten()).view(6, *node.shape)
         centroid, normal = near.split(3)  # (3, G, 8, Q)
@@ -254,11 +263,11 @@ class Grids(NamedTuple):
         exponent = offset.square().sum(0) * sharpness
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
         agree = (normal.detach() * towards.detach()[:, None, None]).sum(0)
-        sign = weight * torch.where(agree < 0, self.other_side, 1.0)
+        sign = torch.maximum(torch.copysign(weight, agree), self.least)
         normal, weight = sign * normal, sign.abs()
-        distance, total = (normal * offset).sum((0, 1, 2)), weight.sum((0, 1))
-        beside = (offset * weight).sum((1, 2))
-        return torch.cat((normal.sum((1, 2)), distance[None], total[None], beside))
+        distance, total = (normal * offset).sum((0, 2)), weight.sum(1)
+        beside = (offset * weight).sum(2)
+        return torch.cat((normal.sum(2), distance[None], total[None], beside))
 
 
 def _joined(grids: list[Tensor | None], first: Sequence[int]) -> Tensor | None:

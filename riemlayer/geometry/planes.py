@@ -9,8 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riemlayer.geometry.grids import COARSE, FINE, Grids, Nodes, PlaneLevel, Scale
+from riemlayer.geometry.grids import ALL, COARSE, FINE, Grids, Nodes, PlaneLevel, Scale
 from riemlayer.geometry.moments import Moments
+from riemlayer.geometry.site import Place, Site
 from riemlayer.numerics import normalise, outer6, smallest_eigenvector, symmetric_eigenvalues
 from riemlayer.octree import HALF_WIDTH, Level, Octree, build_octree, nearest_node
 
@@ -21,6 +22,8 @@ STAGGER = 2 / 3
 """Shift of the second grid, in its finest cells: at the next coarser level a third of a cell."""
 FALLBACK = 2e-3
 """Weight of the coarse planes beside the fine ones; they alone count where those are missing."""
+FEW = 1024
+"""Queries up to which all three grids are looked up at once: one look-up costs more than rows."""
 FAR = 1e3
 """Where the plane of "no node" lies: nowhere near a query, so that its weight vanishes."""
 HALF_SUPPORT = 0.1
@@ -81,22 +84,27 @@ class LocalPlanes(NamedTuple):
         first = torch.arange(0, scales * size, size, device=shape.device)
         return (first[:, None] + shape).flatten()
 
-    def cell(self, place: Tensor) -> Tensor:
+    def site(self, place: Tensor) -> Site:
+        """What may be asked for instead of places (Q,), again and again, by a walk."""
+        return self.grids.site(place)
+
+    def cell(self, place: Place) -> Tensor:
         """Cell size (Q, 1) of the fine level at each place."""
         return self.cells[self.grids.scale_of(place), None]
 
-    def has_rims(self, place: Tensor) -> Tensor:
+    def has_rims(self, place: Place) -> Tensor:
         """Whether walks look for rims at each place, (Q,) bool."""
         return self.rims[self.grids.scale_of(place)]
 
-    def look(self, x: Tensor, place: Tensor, towards: Tensor) -> Sight:
+    def look(self, x: Tensor, place: Place, towards: Tensor) -> Sight:
         """What a walk sees at `x` (Q, 3), coming with the normal `towards`.
 
         Normals take the sign that agrees with `towards` (Q, 3). The weights are trilinear times a
         Gaussian of the distance to the centroid, so the nearer of two sheets prevails. Far from
         every node the normal is `towards` and the distance 0.
         """
-        sums = self._blended(self.grids.nodes(x.T, place, FINE), x, place, towards)
+        which = ALL if len(x) <= FEW else FINE
+        sums = self._blended(self.grids.nodes(x.T, place, which), x, place, towards)
         normal, gap = _plane_of(sums, towards)
         weight = sums[4]
         support = (weight / (weight + HALF_SUPPORT))[:, None]
@@ -104,21 +112,25 @@ class LocalPlanes(NamedTuple):
         beside = offset - (offset * normal).sum(-1, keepdim=True) * normal
         return Sight(normal, gap, support, beside)
 
-    def _blended(self, nodes: Nodes, x: Tensor, place: Tensor, towards: Tensor) -> Tensor:
+    def _blended(self, nodes: Nodes, x: Tensor, place: Place, towards: Tensor) -> Tensor:
         """`Grids.blend` over the fine grids, and over the coarse one where they have little."""
-        sums = self.grids.blend(nodes, x.T, towards.T)
-        thin = (sums[4].detach() < 30 * FALLBACK).nonzero().squeeze(-1)
-        if not len(thin):
+        fine, coarse = self.grids.blend(nodes, x.T, towards.T).split((2, len(nodes.node) - 2), 1)
+        sums = fine.sum(1)
+        thin = sums[4].detach() < 30 * FALLBACK
+        if coarse.shape[1]:
+            return torch.addcmul(sums, thin.to(x.dtype), coarse.squeeze(1), value=FALLBACK)
+        rows = thin.nonzero().squeeze(-1)
+        if not len(rows):
             return sums
-        x, towards = x[thin].T, towards[thin].T
-        coarse = self.grids.blend(self.grids.nodes(x, place[thin], COARSE), x, towards)
-        return sums.index_add(1, thin, coarse, alpha=FALLBACK)
+        x, towards = x[rows].T, towards[rows].T
+        coarse = self.grids.blend(self.grids.nodes(x, place[rows], COARSE), x, towards)
+        return sums.index_add(1, rows, coarse.squeeze(1), alpha=FALLBACK)
 
     def normal(self, p: Tensor, place: Tensor) -> Tensor:
         """Unit normals (Q, 3) at `p`, with the sign of the nearest node's; the z axis far away."""
         return self.plane(p, place)[0]
 
-    def plane(self, p: Tensor, place: Tensor, side: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def plane(self, p: Tensor, place: Place, side: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """`normal` (Q, 3) at `p`, and the height (Q, 1) of `p` above the plane there.
 
         A fixed direction would not do for the sign: around a wall that it lies in, signs would be
@@ -138,7 +150,7 @@ class LocalPlanes(NamedTuple):
             towards = torch.where(lost, side, towards)
         return _plane_of(self._blended(nodes, p, place, towards), towards)
 
-    def may_end(self, x: Tensor, place: Tensor) -> Tensor:
+    def may_end(self, x: Tensor, place: Place) -> Tensor:
         """Whether the sheet may end (Q,) near `x`: points are dense there, and leave a gap."""
         nodes = self.grids.nodes(x.T, place, COARSE)
         return self.grids.ends(nodes) & (self.grids.spacing(nodes) < SPARSE)

@@ -10,6 +10,7 @@ from torch import Tensor
 from riemlayer.geometry.grids import FINE
 from riemlayer.geometry.moments import NEGLIGIBLE
 from riemlayer.geometry.planes import LocalPlanes, Sight
+from riemlayer.geometry.site import Place, place_of
 from riemlayer.numerics import normalise
 
 DISC = 0.7
@@ -41,19 +42,23 @@ class Shell(NamedTuple):
         """Through the sources (S, 3)."""
         return cls(planes, shape, distance(planes, p, shape)[0])
 
-    def cell(self, source: Tensor) -> float:
+    def site(self, source: Place) -> Place:
+        """See `LocalPlanes.site`; nothing is gathered here."""
+        return source
+
+    def cell(self, source: Place) -> float:
         """Cell size of the planes, the same at all sources."""
         return self.planes.fine.level.cell_size
 
-    def plane(self, p: Tensor, source: Tensor) -> tuple[Tensor, Tensor]:
+    def plane(self, p: Tensor, source: Place) -> tuple[Tensor, Tensor]:
         """Unit normals (Q, 3) of the shells at the sources, which lie on them: heights of 0."""
-        return distance(self.planes, p, self.shape[source])[1], torch.zeros_like(p[:, :1])
+        return distance(self.planes, p, self.shape[place_of(source)])[1], torch.zeros_like(p[:, :1])
 
-    def look(self, x: Tensor, source: Tensor, towards: Tensor) -> Sight:
+    def look(self, x: Tensor, source: Place, towards: Tensor) -> Sight:
         """What a walk on the shells of its sources sees at `x` (Q, 3)."""
-        away, normal = distance(self.planes, x, self.shape[source])
+        away, normal = distance(self.planes, x, self.shape[place_of(source)])
         near = (away < REACH * self.cell(source)).to(x.dtype)
-        gap = near * (away - self.level[source])
+        gap = near * (away - self.level[place_of(source)])
         return Sight(torch.where(near > 0, normal, towards), gap, near, torch.zeros_like(x))
 
 

@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.geometry.shell import Shell
+from riemlayer.geometry.site import Place
 from riemlayer.numerics import in_columns, normalise
 
 ANCHOR = 0.3
@@ -74,9 +75,10 @@ def walk(
         steps: number of steps; 8 for the trained radius, |v| over half the spacing for a fine walk.
         plane: what `planes.plane` answers at `p`, where it is known already.
     """
-    normal, height = plane or planes.plane(p, place)
+    site = planes.site(place)
+    normal, height = plane or planes.plane(p, site)
     square = v.square().sum(-1, keepdim=True)
-    cell = planes.cell(place)
+    cell = planes.cell(site)
     negligible = (NEGLIGIBLE * cell) ** 2
     tilt = (normal * v).sum(-1, keepdim=True) / square.clamp_min(negligible)
     normal = normalise(normal - tilt * v)
@@ -84,14 +86,14 @@ def walk(
     rest = torch.ones_like(square)
     for left in range(steps, 0, -1):
         share = rest.clamp_min(0) / left
-        at, turned = advance(planes, at, place, share)
+        at, turned = advance(planes, at, site, share)
         rest = rest - share - height * turned / square.clamp_min(negligible)
     x = torch.addcmul(at.point, rest, at.vector)
     return at._replace(point=p + v + fade_in(square, cell) * (x - p - v))
 
 
 def advance(
-    planes: LocalPlanes | Shell, at: Walked, place: Tensor, share: Tensor, halves: int = 2
+    planes: LocalPlanes | Shell, at: Walked, site: Place, share: Tensor, halves: int = 2
 ) -> tuple[Walked, Tensor]:
     """One step of a walk, by a share (Q, 1) of the carried vector.
 
@@ -102,29 +104,29 @@ def advance(
     the surface bends away from the normal.
     """
     x = at.point + share * at.vector
-    ahead, gap, support, beside = planes.look(x, place, at.normal)
+    ahead, gap, support, beside = planes.look(x, site, at.normal)
     turned = ((ahead - at.normal) * at.vector).sum(-1, keepdim=True)
     x = torch.addcmul(x, gap, ahead, value=-1)
-    off, cosine = gap.abs() / planes.cell(place), (at.normal * ahead).sum(-1, keepdim=True)
+    off, cosine = gap.abs() / planes.cell(site), (at.normal * ahead).sum(-1, keepdim=True)
     met = torch.cat((off, 1 - cosine, support, torch.zeros_like(gap)), -1)
     there = Walked(x, turn(at.vector, at.normal, ahead), ahead, at.met + met)
     if isinstance(planes, Shell):
         return there, turned
-    there = turn_back(planes, there, place, share, beside)
-    lost = (beside.detach() == 0).all(-1) & planes.has_rims(place)
+    there = turn_back(planes, there, site, share, beside)
+    lost = (beside.detach() == 0).all(-1) & planes.has_rims(site)
     rows = lost.nonzero().squeeze(-1)
     if halves == 1 or not len(rows):
         return there, turned
     again, total = Walked(*(y[rows] for y in at)), torch.zeros_like(turned[rows])
     for _ in range(halves):
-        again, bent = advance(planes, again, place[rows], share[rows] / halves, halves=1)
+        again, bent = advance(planes, again, site[rows], share[rows] / halves, halves=1)
         total = total + bent
     parts = (y.index_copy(0, rows, z) for y, z in zip(there, again, strict=True))
     return Walked(*parts), turned.index_copy(0, rows, total)
 
 
 def turn_back(
-    planes: LocalPlanes, at: Walked, place: Tensor, share: Tensor, beside: Tensor
+    planes: LocalPlanes, at: Walked, site: Place, share: Tensor, beside: Tensor
 ) -> Walked:
     """Reflects walks at the rims of sheets: they go on at the other side (ours).
 
@@ -134,20 +136,21 @@ def turn_back(
     end there, and there is no plane further ahead either.
 
     Args:
-        planes, place: as for `walk`.
+        planes, site: as for `walk`.
         at: walks after a step by `share` of their vectors.
         beside: (Q, 3) see `Sight`.
     """
     leaves = (beside * at.vector).sum(-1) > 0
-    leaves &= beside.square().sum(-1) > (RIM * planes.cell(place)).square().squeeze(-1)
-    rows = (leaves & planes.has_rims(place)).nonzero().squeeze(-1)
+    leaves &= beside.square().sum(-1) > (RIM * planes.cell(site)).square().squeeze(-1)
+    rows = (leaves & planes.has_rims(site)).nonzero().squeeze(-1)
     if len(rows):
-        rows = rows[planes.may_end(at.point[rows], place[rows])]
+        rows = rows[planes.may_end(at.point[rows], site[rows])]
     if not len(rows):
         return at
-    x, vector, normal, beside, share, place = (y[rows] for y in (*at[:3], beside, share, place))
-    beside, ends = _rim(planes, x, place, normal, beside)
-    cell, outward = planes.cell(place), normalise(beside)
+    x, vector, normal, beside, share = (y[rows] for y in (*at[:3], beside, share))
+    site = site[rows]
+    beside, ends = _rim(planes, x, site, normal, beside)
+    cell, outward = planes.cell(site), normalise(beside)
     speed = ends * (vector * outward).sum(-1, keepdim=True).clamp_min(0)
     over = ((beside * outward).sum(-1, keepdim=True) - RIM * cell).clamp_min(0)
     over = torch.minimum(ends * over, speed * share)
@@ -160,18 +163,18 @@ def turn_back(
 
 
 def _rim(
-    planes: LocalPlanes, x: Tensor, place: Tensor, normal: Tensor, beside: Tensor
+    planes: LocalPlanes, x: Tensor, site: Place, normal: Tensor, beside: Tensor
 ) -> tuple[Tensor, Tensor]:
     """How far beside a sheet places `x` (R, 3) lie, and 1 (R, 1) where it ends there, else 0.
 
     The first is a mean of what is seen there and to both sides along the rim: a few centroids alone
     say little about the rim's direction.
     """
-    cell, outward = planes.cell(place), normalise(beside)
+    cell, outward = planes.cell(site), normalise(beside)
     along = torch.linalg.cross(normal, outward)
     places = [x + cell * way for way in (along, -along, *(k * outward for k in AHEAD))]
     repeats = len(places)
-    seen = planes.look(torch.cat(places), place.repeat(repeats), normal.repeat(repeats, 1)).beside
+    seen = planes.look(torch.cat(places), site.repeat(repeats), normal.repeat(repeats, 1)).beside
     left, right, *ahead = seen.chunk(repeats)
     goes_on = [
         (y != 0).any(-1, keepdim=True) & ((y * outward).sum(-1, keepdim=True) < k * cell)

@@ -188,7 +188,7 @@ def test_two_grids_depend_less_on_where_their_cells_lie():
         both = at(planes, x + t / 16, x)
         moved, shape = (x + t / 16).T, torch.zeros(500).long()
         nodes = planes.grids.nodes(moved, shape, slice(0, 1))
-        fine = planes.grids.blend(nodes, moved, x.T)
+        fine = planes.grids.blend(nodes, moved, x.T).squeeze(1)
         two.append(both[1].squeeze(-1))
         one.append(fine[3] / fine[4])
     spread = [float(torch.stack(gaps).std(0).mean()) for gaps in (one, two)]
@@ -202,7 +202,7 @@ def test_a_blend_is_the_sum_over_the_eight_nodes_of_each_grid():
     towards = torch.nn.functional.normalize(torch.randn_like(x), dim=-1)
     for i, on in enumerate(planes.scales[0].levels):
         nodes = planes.grids.nodes(x.T, shape, slice(i, i + 1))
-        found = planes.grids.blend(nodes, x.T, towards.T)
+        found = planes.grids.blend(nodes, x.T, towards.T).squeeze(1)
         node, weight = corners(on.level, x + on.shift, shape)
         centroid, normal = on.plane.T[node].split(3, -1)  # (Q, 8, 3)
         offset = x[:, None] - centroid
