@@ -7,6 +7,7 @@ from torch import Tensor
 
 from riemlayer.geometry import LocalPlanes, local_planes, planes_at_scales
 from riemlayer.geometry.grids import BLEND
+from riemlayer.geometry.planes import FEW
 from riemlayer.octree import build_octree, corners
 
 UP = torch.tensor([0.0, 0, 1], dtype=torch.float64)
@@ -271,3 +272,18 @@ def test_planes_of_few_points_do_not_turn_with_rounding():
     flat = here.eigenvalues[:, 0] < 0.5 * here.eigenvalues[:, 1]  # elsewhere there is no normal
     turned = torch.linalg.cross(n, m, dim=0).norm(dim=0)
     assert flat.float().mean() > 0.8 and turned[flat].max() < 1e-4, float(turned[flat].max())
+
+
+def test_few_queries_and_many_are_answered_alike():
+    """Few are looked up on all three grids at once, many on the coarse one where they must."""
+    points = lumpy(800)
+    planes, few = planes_of(points, 5), FEW // 2
+    x = (1 + torch.linspace(-0.2, 0.2, FEW + few)[:, None]) * points.repeat(3, 1)[: FEW + few]
+    shape, towards = torch.zeros(len(x), dtype=torch.long), torch.randn_like(x)
+    parts = [
+        planes.look(*y) for y in zip(*(y.split(few) for y in (x, shape, towards)), strict=True)
+    ]
+    together = planes.look(x, shape, towards)
+    assert (together.support < 0.3).any()
+    for got, want in zip(together, zip(*parts, strict=True), strict=True):
+        torch.testing.assert_close(got, torch.cat(want))
