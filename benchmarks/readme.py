@@ -45,8 +45,10 @@ def card() -> str:
     return "\n".join(
         [
             f"- **Parameters** {training['parameters']:,}, stored as float16.",
-            f"- **Training** {training['steps']:,} steps in {training['hours']} hours, "
-            f"shapes a step: {training['shapes_a_step']}; {facts['time']}.",
+            f"- **Training** last {training['steps']:,} steps in {training['hours']} hours, "
+            f"shapes a step: {training['shapes_a_step']}; {facts['time']}. The runs, each from the "
+            "weights of the one before:",
+            *(f"  {i}. {run}." for i, run in enumerate(facts["history"], 1)),
             f"- **Shapes** {sum(training['shapes'].values())}: {shapes}.",
             *(f"- **{name.capitalize()}** {text}" for name, text in facts["data"].items()),
             f"- **Limits** {facts['limits']}",
