@@ -20,7 +20,8 @@ from riemlayer.losses import LossWeights, pair_loss, reconstruction_loss, validi
 class ExpLogHeadFitting(ExpLogPretraining):
     """Trains gates and decoders of a field whose backbone stays as it is (ours).
 
-    The losses are those of `ExpLogPretraining` but Eqs (3) and (4), which need the field.
+    So does Log's tangent plane, which was chosen before heads were told anything. The losses are
+    those of `ExpLogPretraining` but Eqs (3) and (4), which need the field.
 
     Args:
         start_from: packaged name or folder of the weights that the look-ups were made with.

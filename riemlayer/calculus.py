@@ -199,10 +199,13 @@ class Calculus(AbstractSurface):
         v = self.decode_log(p, q, shape)[0]
         axes = self.frame(p, shape=shape)[..., :2]
         miss = safe_norm(q - self.decode_exp(p, v, shape)[0])
+        eye = torch.eye(2, dtype=v.dtype, device=v.device)
         for _ in range(steps):
             end, J = value_and_jacobian(lambda x: self.decode_exp(p, x, shape)[0], v)
             A = J @ axes
-            normal = A.mT @ A + 1e-4 * torch.eye(2, dtype=v.dtype, device=v.device)
+            normal = A.mT @ A
+            damping = 1e-4 + 1e-6 * normal.diagonal(dim1=-2, dim2=-1).sum(-1)  # never singular
+            normal = normal + damping[..., None, None] * eye
             x = torch.linalg.solve(normal, A.mT @ (q - end)[..., None])
             ahead = v + (axes @ x).squeeze(-1)
             left = safe_norm(q - self.decode_exp(p, ahead, shape)[0])

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from riemlayer import checks
 from riemlayer.backbone import make_backbone
 from riemlayer.config import SCALES, FieldConfig
-from riemlayer.geometry import planes_at_scales
+from riemlayer.geometry import Points, planes_at_scales
 from riemlayer.heads import Embedding, ExpHead, LogHead
 from riemlayer.octree import build_octree
 from riemlayer.storage import Pretrained
@@ -141,7 +141,8 @@ class ExpLogField(Pretrained, nn.Module):
             z = self.backbone(points, octree, planes, *told)
             narrow = None if self.narrow is None else self.narrow(z).to(points.dtype)
         level = octree.level(backbone.depth)
-        return Embedding(z.to(points.dtype), narrow, level, planes)
+        near = Points.of(points, octree, planes.scales[0].coarse)
+        return Embedding(z.to(points.dtype), narrow, level, planes, near)
 
     def forward(
         self,

@@ -102,17 +102,16 @@ def asked(field: ExpLogField, surface: Surface) -> tuple[EncodedSurface, Tensor,
 
 
 CURVED = [Sphere(0.45), Cylinder(0.35, 0.6)]
-WORST = 0.028
+WORST = 0.024
 """Largest |Log Exp v - v| allowed, for |v| up to the trained radius 0.5. Untrained, where Exp is a
-walk and Log is read from fans, it is 0.024 and 0.019; trained 0.022 and 0.018."""
+walk and Log is read from fans, it is 0.011 and 0.021; trained 0.004 and 0.006."""
 
 
 @pytest.mark.slow
 @torch.no_grad()
 @pytest.mark.parametrize("surface", CURVED, ids=repr)
 def test_a_trained_field_obeys_the_laws_better_than_an_untrained_one(surface, trained, untrained):
-    """|Exp Log q - q| falls; of |Log Exp v - v|, whose fans are good untrained and blur what is
-    smooth, no more is asked than no loss."""
+    """|Exp Log q - q| falls to 0.28, |Log Exp v - v| to 0.34 of what they were."""
     means = []
     for field in (trained, untrained):
         encoded, p, v, q = asked(field, surface)
@@ -120,7 +119,7 @@ def test_a_trained_field_obeys_the_laws_better_than_an_untrained_one(surface, tr
         errors = exp_log_errors(encoded.exp, encoded.log, p, v, q)
         means.append([float(x.mean()) for x in errors[:2]])
     (log_exp, exp_log), (former_log_exp, former_exp_log) = means
-    assert log_exp < former_log_exp and exp_log < 0.9 * former_exp_log, means
+    assert log_exp < 0.7 * former_log_exp and exp_log < 0.6 * former_exp_log, means
 
 
 @pytest.mark.slow
@@ -135,15 +134,14 @@ def test_planes_which_the_prior_knows_are_not_forgotten(trained):
 @torch.no_grad()
 @pytest.mark.parametrize("surface", CURVED, ids=repr)
 def test_a_trained_field_comes_closer_to_the_closed_form(surface, trained, untrained):
-    """Exp by 78 % on the sphere; Log, which fans read well untrained, may lose a tenth: there it
-    loses 8 %, 0.0003 of the cube."""
+    """Exp by 81 and 73 %, Log by 69 and 61 %."""
     off = []
     for field in (trained, untrained):
         encoded, p, v, q = asked(field, surface)
         exp, log = (encoded.exp(p, v) - q).norm(dim=-1), (encoded.log(p, q) - v).norm(dim=-1)
         off.append((float(exp.mean()), float(log.mean())))
     (exp, log), (former_exp, former_log) = off
-    assert exp < 0.5 * former_exp and log < 1.05 * former_log, off
+    assert exp < 0.5 * former_exp and log < 0.8 * former_log, off
 
 
 @pytest.mark.slow

@@ -14,6 +14,8 @@ from riemlayer.numerics import normalise
 
 LONGEST = 0.53
 """Longer vectors, in the normalised cube, are not trained on."""
+PATCH = (0.02, 0.08)
+"""Range of the sizes of patches in which the errors of a depth camera are alike."""
 
 
 @dataclass(frozen=True)
@@ -168,15 +170,37 @@ def uneven(points: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def noise_like(points: Tensor, size: float, generator: torch.Generator) -> Tensor:
-    """Displacements in random directions, of length uniform in [0, size] (Sec. 4.1), or Gaussian.
+    """Displacements in random directions, of length uniform in [0, size] (Sec. 4.1); or Gaussian;
+    or those of a depth camera (ours).
 
-    The Gaussian ones (ours) have a standard deviation of size / 3 along each axis.
+    The latter two have a standard deviation of size / 3 along each of their directions.
     """
     normal = torch.randn(points.shape, generator=generator)
-    if _chance(0.5, generator):
+    kind = _uniform(0, 3, generator)
+    if kind < 1:
         return normal * (size / 3)
+    if kind < 2:
+        return depth_noise(points, generator) * (size / 3)
     length = torch.rand(len(points), 1, generator=generator) * size
     return torch.nn.functional.normalize(normal, dim=-1) * length
+
+
+def depth_noise(points: Tensor, generator: torch.Generator) -> Tensor:
+    """Displacements along one random direction, whose standard deviation is 1 (ours).
+
+    Part of them, a random share, is alike among neighbours, in patches of a random size.
+
+    Args:
+        points: (N, 3) within a distance of 2 from the origin.
+    """
+    camera, share = rotation(1, generator), _uniform(0, 1, generator)
+    pixels = 4 / _uniform(*PATCH, generator)
+    image = torch.randn(1, 1, *[math.ceil(pixels)] * 2, generator=generator)
+    at = (points @ camera[:2].T / 2)[None, None]
+    alike = torch.nn.functional.grid_sample(image, at, "bicubic", "border", align_corners=False)
+    alike = alike.flatten() / alike.square().mean().sqrt()
+    alone = torch.randn(len(points), generator=generator)
+    return (share**0.5 * alike + (1 - share) ** 0.5 * alone)[:, None] * camera[2]
 
 
 def cut_open(cloud: Tensor, queries: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -4,6 +4,7 @@ from riemlayer.geometry.chord import bend, lay_flat
 from riemlayer.geometry.fan import Fan, FanLog, fan_of, log_on_fan
 from riemlayer.geometry.frames import angle_of, frame_of, nearest_isometry
 from riemlayer.geometry.planes import LocalPlanes, local_planes, planes_at_scales
+from riemlayer.geometry.points import Points
 from riemlayer.geometry.shell import Shell, on_shell
 from riemlayer.geometry.walk import MET, Walked, fade_in, turn, walk
 
@@ -12,6 +13,7 @@ __all__ = [
     "Fan",
     "FanLog",
     "LocalPlanes",
+    "Points",
     "Shell",
     "Walked",
     "angle_of",

@@ -13,7 +13,7 @@ from riemlayer.geometry.frames import frame_of
 from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.geometry.shell import Shell
 from riemlayer.geometry.walk import MET, Walked, advance
-from riemlayer.numerics import outer6
+from riemlayer.numerics import normalise, outer6
 
 LENGTHS = 8
 """Points kept along each geodesic of a fan."""
@@ -57,7 +57,13 @@ class FanLog(NamedTuple):
 
 
 def fan_of(
-    planes: LocalPlanes | Shell, p: Tensor, place: Tensor, rays: int, radius: float, steps: int = 16
+    planes: LocalPlanes | Shell,
+    p: Tensor,
+    place: Tensor,
+    rays: int,
+    radius: float,
+    steps: int = 16,
+    tangent: Tensor | None = None,
 ) -> Fan:
     """Walk from each source along `rays` directions, and keep `LENGTHS` points of each geodesic.
 
@@ -72,14 +78,19 @@ def fan_of(
         rays: number of geodesics.
         radius: trained radius; they are `REACH` times as long.
         steps: of their walks, at least; as many from each point that is kept to the next.
+        tangent: (S, 3) unit normals, of any sign, of the tangent planes that they leave along and
+            that logs lie in, as those of `walk` along tangent vectors; by default of the planes.
     """
-    normal, height = planes.plane(p, place)
+    n, height = planes.plane(p, place)
+    normal = n if tangent is None else torch.where(_along(n, tangent) < 0, -tangent, tangent)
     angle = torch.arange(rays, dtype=p.dtype, device=p.device) * (2 * math.pi / rays)
     e1, e2, _ = frame_of(normal)[:, None].unbind(-1)
     along = angle.cos()[:, None] * e1 + angle.sin()[:, None] * e2  # (S, rays, 3)
     across = torch.linalg.cross(normal[:, None].expand_as(along), along)
-    start, n, height, place = (y.repeat_interleave(rays, 0) for y in (p, normal, height, place))
-    at, site = Walked.starting(start, along.flatten(0, 1), n), planes.site(place)
+    start, n, height, place = (y.repeat_interleave(rays, 0) for y in (p, n, height, place))
+    v = along.flatten(0, 1)
+    n = normalise(n - _along(n, v) * v)
+    at, site = Walked.starting(start, v, n), planes.site(place)
     each = math.ceil(steps / LENGTHS)
     stride = torch.full_like(height, REACH * radius / (LENGTHS * each))
     length, parts = torch.zeros_like(height), []
@@ -96,7 +107,7 @@ def fan_of(
     back = along[:, :, None, :, None] * carried[..., None, :]
     back = back + across[:, :, None, :, None] * side[..., None, :]  # (S, rays, LENGTHS, 3, 3)
     offset = length * along[:, :, None] - (back * x[..., None, :]).sum(-1)
-    through, up = outer6(n), (n * x).sum(-1, keepdim=True)
+    through, up = outer6(n), _along(n, x)
     square = x.square().sum(-1, keepdim=True) + ABOVE * up.square()
     takes = -0.5 * (square + SHORTER * length.square())
     key = torch.cat((x + ABOVE * up * n, takes, -0.5 * ABOVE * through), -1)
@@ -130,3 +141,8 @@ def attention(query: Tensor, key: Tensor, values: Tensor) -> Tensor:
         return F.scaled_dot_product_attention(q, k, v, scale=1.0).squeeze(1)
     except NotImplementedError:
         return (query @ key.mT).softmax(-1) @ values
+
+
+def _along(n: Tensor, x: Tensor) -> Tensor:
+    """n . x (..., 1)."""
+    return (n * x).sum(-1, keepdim=True)

@@ -72,13 +72,11 @@ class PlaneLevel(NamedTuple):
         how thick, thin or sparse the cloud is at this scale. 0 where there is no node.
         """
         n, node = len(self.level), self.nearest_of_eight(x, batch)
-        around = self.level.neighbours[node.clamp_max(n - 1)]  # (Q, 27)
-        index = torch.cat((node[:, None], around), -1)
-        exists = ((index < n) & (node < n)[:, None])[..., None]
-        variance = self.eigenvalues.detach()[index.clamp_max(n - 1)].clamp_min(0)
-        spread = variance.sqrt() * exists / self.level.cell_size  # (Q, 28, 3)
-        mean = spread[:, 1:].sum(1) / exists[:, 1:].sum(1).clamp_min(1)
-        return torch.cat((spread[:, 0], mean), -1)
+        spread = self.eigenvalues.detach().clamp_min(0).sqrt() / self.level.cell_size
+        spread = F.pad(F.pad(spread, (0, 1), value=1), (0, 0, 0, 1))  # and what counts
+        around = F.embedding_bag(self.level.neighbours[node.clamp_max(n - 1)], spread, mode="sum")
+        around = around * (node < n)[:, None]
+        return torch.cat((spread[node, :3], around[:, :3] / around[:, 3:].clamp_min(1)), -1)
 
 
 class Scale(NamedTuple):

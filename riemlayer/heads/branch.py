@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from riemlayer.config import HeadConfig
-from riemlayer.geometry import LocalPlanes
+from riemlayer.geometry import LocalPlanes, Points, on_shell
 from riemlayer.heads.siren import SirenDecoder
 from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork, linear_with_site
 from riemlayer.numerics import outer6, safe_norm
@@ -37,12 +37,14 @@ class Embedding(NamedTuple):
     level: Level
     planes: LocalPlanes
     """Half as large as the leaves; for further walks a quarter as large, and as large."""
+    points: Points
+    """The cloud itself."""
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Embedding:
         """The same with `change` applied to every tensor that depends on the cloud."""
         narrow = None if self.narrow is None else change(self.narrow)
-        planes = self.planes.map(change)
-        return Embedding(change(self.z), narrow, self.level.map(change), planes)
+        planes, points = self.planes.map(change), self.points.map(change)
+        return Embedding(change(self.z), narrow, self.level.map(change), planes, points)
 
 
 class MapOutput(NamedTuple):
@@ -189,6 +191,24 @@ class Gate(nn.Module):
         for i, (share, other) in enumerate(zip(shares, others, strict=True)):
             prior = prior + share * (other if i in self.ways else other - prior)
         return prior, trust
+
+
+def at_sources(planes: LocalPlanes, p: Tensor, shape: Tensor) -> list[tuple[Tensor, Tensor]]:
+    """What `LocalPlanes.plane` answers at the sources (S, 3) on each scale."""
+    scales = len(planes.scales)
+    normal, height = planes.plane(p.repeat(scales, 1), planes.places(shape, scales))
+    return list(zip(normal.chunk(scales), height.chunk(scales), strict=True))
+
+
+def beside(field: Embedding, seen: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
+    """Share (S, 1) that shells have at the sources: 0 on the cloud, 1 well beside it.
+
+    By the heights above the finest planes, which sharp edges hardly raise; above the first ones
+    where there are none. `seen` is what `at_sources` answers.
+    """
+    (_, wide), (_, finest), *_ = seen
+    height = torch.where(finest == 0, wide, finest)
+    return on_shell(height, field.planes.fine.level.cell_size)
 
 
 def sites(

@@ -18,7 +18,6 @@ from riemlayer.geometry import (
     fan_of,
     lay_flat,
     log_on_fan,
-    on_shell,
     walk,
 )
 from riemlayer.heads.branch import (
@@ -28,9 +27,12 @@ from riemlayer.heads.branch import (
     Gate,
     MapHead,
     Prepared,
+    at_sources,
+    beside,
     read_narrow,
     sites,
 )
+from riemlayer.heads.tangent import TangentPlane
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import interpolate
 
@@ -156,21 +158,24 @@ class LogHead(MapHead):
         super().__init__(embedding, told, radius, config)
         others = fans + self.bends
         self.gate = Gate(told, others, (0,) * self.shells) if config.anchored else None
+        self.tangent_plane = TangentPlane(scales) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
         z, _ = interpolate(field.z, field.level, p, shape)  # (S, C)
         x = q - p[:, None]
-        if self.gate is None:
+        if self.gate is None or self.tangent_plane is None:
             return Prepared(z, x)
         x = in_columns(torch.cat((torch.zeros_like(x[:, :1]), x), 1))  # (S, 1 + K, 3)
         seen = at_sources(field.planes, p, shape)
-        flat = lay_flat(seen[0][0], x, field.planes.fine.level.cell_size)
+        site = sites(field, p, shape, seen)
+        normal = self.tangent_plane(field, p, shape, site, seen)
+        flat = lay_flat(normal, x, field.planes.fine.level.cell_size)
         passed = (read_narrow(field, p[:, None] + t * x, shape) for t in (0.5, 1.0))
         told, priors = [(flat - x) / self.radius, *passed], [flat]
         share = fan_share(x / self.radius)
         if self.fans:
             places = field.planes.places(shape, self.fans)
-            asked = (torch.cat([y] * self.fans) for y in (p, x, flat, share))
+            asked = (torch.cat([y] * self.fans) for y in (p, x, flat, share, normal))
             fans, says = self.on_fan(field.planes, places, self.config.walk_steps, *asked)
             priors += fans.chunk(self.fans)
             told += says.chunk(self.fans)
@@ -180,10 +185,9 @@ class LogHead(MapHead):
             priors.insert(1, way)
             told.append(says)
         if self.bends:
-            bent, says = self.bent(field.planes, p, x, flat, shape, seen[1][0])
+            bent, says = self.bent(field.planes, p, x, flat, shape, normal)
             priors.append(bent)
             told.append(says)
-        site = sites(field, p, shape, seen)
         prior, trust = self.gate(priors, told, site)
         return Prepared(z, x, prior, tuple(told), site, trust)
 
@@ -196,6 +200,7 @@ class LogHead(MapHead):
         x: Tensor,
         flat: Tensor,
         share: Tensor,
+        normal: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Logs on fans over planes or shells (S, K, 3), and what is told of them (S, K, FAN).
 
@@ -206,14 +211,14 @@ class LogHead(MapHead):
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        fan = fan_of(ground, p[rows], place[rows], self.config.fan_rays, self.radius, steps)
+        how = self.config.fan_rays, self.radius, steps, None if normal is None else normal[rows]
+        fan = fan_of(ground, p[rows], place[rows], *how)
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)
         away = share * (read.vector - start)
         longer = read.length - safe_norm(read.vector)
-        told = (longer / self.radius, read.normal, read.gap / self.radius, read.met)
-        told = torch.cat(told, -1)
+        told = torch.cat((longer / self.radius, read.normal, read.gap / self.radius, read.met), -1)
         told = torch.cat((away / self.radius, share * told), -1)
         return flat.index_put(part, start + away), known.index_put(part, told)
 
@@ -268,24 +273,6 @@ def _walked(
     end = walk(ground, start, v.flatten(0, 1), place, steps, (normal, height))
     end = end._replace(met=end.met / steps)
     return Walked(*(y.unflatten(0, v.shape[:2]) for y in end))
-
-
-def at_sources(planes: LocalPlanes, p: Tensor, shape: Tensor) -> list[tuple[Tensor, Tensor]]:
-    """What `LocalPlanes.plane` answers at the sources (S, 3) on each scale."""
-    scales = len(planes.scales)
-    normal, height = planes.plane(p.repeat(scales, 1), planes.places(shape, scales))
-    return list(zip(normal.chunk(scales), height.chunk(scales), strict=True))
-
-
-def beside(field: Embedding, seen: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
-    """Share (S, 1) that shells have at the sources: 0 on the cloud, 1 well beside it.
-
-    By the heights above the finest planes, which sharp edges hardly raise; above the first ones
-    where there are none. `seen` is what `at_sources` answers.
-    """
-    (_, wide), (_, finest), *_ = seen
-    height = torch.where(finest == 0, wide, finest)
-    return on_shell(height, field.planes.fine.level.cell_size)
 
 
 def fan_share(x: Tensor) -> Tensor:

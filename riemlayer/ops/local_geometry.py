@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riemlayer.checks import check_shapes
 from riemlayer.geometry import angle_of, frame_of, turn
-from riemlayer.numerics import falloff, normalise, safe_norm, segment_sum
+from riemlayer.numerics import falloff, normalise, safe_norm
 from riemlayer.octree import build_octree, knn, radius_search
 from riemlayer.ops.pieces import NEAR, pieces
 from riemlayer.surface import EncodedSurface
@@ -201,25 +201,25 @@ def orient(normal: Tensor, points: Tensor, neighbours: Tensor, batch: Tensor) ->
         batch: (N,) cloud of each point.
     """
     chord = normalise(points[neighbours] - points[:, None])
-    here, there = normal[:, None].expand_as(chord), normal[neighbours]
-    flat = (1 - (chord * here).sum(-1).abs()) * (1 - (chord * there).sum(-1).abs())
-    vote = ((here * there).sum(-1) * flat).flatten()
-    receiver = torch.arange(len(points), device=points.device).repeat_interleave(
-        neighbours.shape[1]
-    )
-    sender = neighbours.flatten()
-    ends, starts = torch.cat((receiver, sender)), torch.cat((sender, receiver))
-    vote = torch.cat((vote, vote))
-    said = segment_sum((vote * (ends != starts)).abs()[:, None], ends, len(points)).squeeze(-1)
-    sign = torch.where(said == 0, _upward(normal), 0)
+    there = normal[neighbours]
+    flat = (1 - (chord @ normal[..., None]).squeeze(-1).abs()) * (1 - (chord * there).sum(-1).abs())
+    vote = (there @ normal[..., None]).squeeze(-1) * flat  # (N, K)
+    itself = neighbours == torch.arange(len(points), device=points.device)[:, None]
+    vote = torch.where(itself, 0, vote)
+    told = vote.new_zeros(len(vote)).index_add(0, neighbours.flatten(), vote.abs().flatten())
+    sign = torch.where(told + vote.abs().sum(-1) == 0, _upward(normal), 0)
+    heard = torch.zeros_like(sign)  # from those who count a point among their neighbours
     while bool((sign == 0).any()):
+        unknown = sign == 0
         sign = _seeded(sign, normal, points, batch)
-        while True:
-            votes = segment_sum((vote * sign[starts])[:, None], ends, len(sign)).squeeze(-1)
-            new = (sign == 0) & (votes != 0)
-            if not bool(new.any()):
-                break
-            sign = torch.where(new, votes.sign(), sign)
+        new = (unknown & (sign != 0)).nonzero().squeeze(-1)
+        while len(new):
+            says = vote[new] * sign[new, None]
+            heard.index_add_(0, neighbours[new].flatten(), says.flatten())
+            unknown = (sign == 0).nonzero().squeeze(-1)
+            votes = heard[unknown] + (vote[unknown] * sign[neighbours[unknown]]).sum(-1)
+            new = unknown[votes != 0]
+            sign[new] = votes[votes != 0].sign()
     return normal * sign[:, None]
 
 

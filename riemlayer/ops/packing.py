@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
-from riemlayer.geometry import LocalPlanes
+from riemlayer.geometry import LocalPlanes, Points
 from riemlayer.geometry.grids import PlaneLevel
 from riemlayer.heads import Embedding
 from riemlayer.octree import Level, Octree, build_octree
@@ -32,6 +32,7 @@ def packed(parts: list[tuple[Embedding, int]]) -> Embedding:
         narrow=torch.cat(narrow) if narrow else None,
         level=octree.level(embeddings[0].level.depth),
         planes=LocalPlanes.of([scale.with_levels(levels) for scale in planes[0].scales]),
+        points=_points([x.points for x in embeddings], octree),
     )
 
 
@@ -55,3 +56,13 @@ def _joined(levels: Sequence[PlaneLevel], octree: Octree) -> PlaneLevel:
         torch.cat([x.around for x in levels]),
         *levels[0][4:],
     )
+
+
+def _points(clouds: Sequence[Points], octree: Octree) -> Points:
+    """The points of several batches."""
+    sizes = torch.tensor([x.xyz.shape[1] for x in clouds])
+    ends = sizes.cumsum(0).tolist()
+    start = [x.start[:-2] + end - n for x, end, n in zip(clouds, ends, sizes.tolist(), strict=True)]
+    start.append(start[0].new_full((2,), ends[-1]))
+    level = octree.level(clouds[0].level.depth)
+    return Points(level, torch.cat([x.xyz for x in clouds], 1), torch.cat(start))

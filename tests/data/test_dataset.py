@@ -1,6 +1,5 @@
 """Sample files as a data set, and what augmentation may and may not change."""
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -9,6 +8,7 @@ import trimesh
 
 from riemlayer.data.augment import (
     Augmentation,
+    depth_noise,
     half_way,
     noise_like,
     rotation,
@@ -164,16 +164,31 @@ def test_density_varies_by_about_ten_to_one(sphere):
         assert 1.5 < share.max() / share.min() < 10
 
 
-def test_noise_is_as_large_as_said():
-    points = torch.zeros(20_000, 3)
-    longest = [noise_like(points, 0.02, generator(s)).norm(dim=1) for s in range(8)]
-    uniform = [x for x in longest if x.max() <= 0.02 + 1e-6]
-    gaussian = [x for x in longest if x.max() > 0.02 + 1e-6]
-    assert uniform
-    assert gaussian
-    assert all(x.mean() == pytest.approx(0.01, rel=0.02) for x in uniform)
-    mean = 0.02 / 3 * math.sqrt(8 / math.pi)  # of the length of a Gaussian in space
-    assert all(x.mean() == pytest.approx(mean, rel=0.02) for x in gaussian)
+def test_noise_is_as_large_as_said(sphere):
+    points = sample_surface(sphere["vertices"], sphere["faces"], 20_000, generator())
+    kinds = set()
+    for seed in range(12):
+        noise = noise_like(points, 0.02, generator(seed))
+        length, along = noise.norm(dim=1), torch.linalg.svdvals(noise) / len(points) ** 0.5
+        if along[1] < 1e-6:  # one direction: a depth camera
+            assert along[0] == pytest.approx(0.02 / 3, rel=0.05)
+        elif length.max() <= 0.02 + 1e-6:
+            assert length.mean() == pytest.approx(0.01, rel=0.02)
+        else:
+            assert along.numpy() == pytest.approx(0.02 / 3, rel=0.03)
+        kinds.add((bool(along[1] < 1e-6), bool(length.max() <= 0.02 + 1e-6)))
+    assert {(True, False), (False, True), (False, False)} <= kinds
+
+
+def test_errors_of_a_depth_camera_are_alike_among_neighbours(sphere):
+    """By less than they are large, and by the more the larger the share of what patches share."""
+    points = sample_surface(sphere["vertices"], sphere["faces"], 8_000, generator())
+    nearest = torch.cdist(points, points).fill_diagonal_(9).argmin(1)
+    pairs = [(generator(seed), generator(seed)) for seed in range(8)]
+    drawn = [depth_noise(points, g) @ rotation(1.0, h)[2] for g, h in pairs]
+    assert all(noise.square().mean() == pytest.approx(1, rel=0.05) for noise in drawn)
+    alike = [float((noise * noise[nearest]).mean()) for noise in drawn]
+    assert min(alike) > -0.05 and min(alike) < 0.4 and 0.5 < max(alike) < 1.02
 
 
 def test_a_camera_sees_the_near_half_of_a_sphere(sphere):

@@ -12,9 +12,9 @@ from riemlayer.geometry.fan import ABOVE, LENGTHS, REACH, SHORTER, WIDTH
 RADIUS = 0.5
 
 
-def fan_at(planes: LocalPlanes, p: Tensor, rays: int = 48) -> Fan:
+def fan_at(planes: LocalPlanes, p: Tensor, rays: int = 48, tangent: Tensor | None = None) -> Fan:
     shape = torch.zeros(len(p), dtype=torch.long)
-    return fan_of(planes, p, shape, rays, RADIUS)
+    return fan_of(planes, p, shape, rays, RADIUS, tangent=tangent)
 
 
 def test_on_a_plane_a_chord_is_its_own_log():
@@ -42,6 +42,30 @@ def test_the_fan_is_nearer_to_the_closed_form_than_the_flat_chord(surface):
     error = (log_on_fan(fan_at(planes, p), x).vector - v).norm(dim=-1)
     assert error.mean() < (flat - v).norm(dim=-1).mean() / 3
     assert error.max() < 0.03
+
+
+def test_a_tangent_plane_has_no_side():
+    points = lumpy(3000)
+    planes, p = planes_of(points), points[::100]
+    normal = planes.normal(p, torch.zeros(len(p), dtype=torch.long))
+    flipped = torch.where(torch.arange(len(p))[:, None] % 2 == 0, normal, -normal)
+    own = fan_at(planes, p)
+    for fan in (fan_at(planes, p, tangent=normal), fan_at(planes, p, tangent=flipped)):
+        torch.testing.assert_close(fan, own)
+
+
+def test_logs_lie_in_the_tangent_plane_that_is_given():
+    """And are nearer to the closed form there than in one that planes of few points tell."""
+    sphere = Sphere(0.5)
+    points = sphere.sample(2_000, torch.Generator().manual_seed(0))
+    planes, p = planes_of(points), points[:50]
+    v = torch.linalg.cross(p[:, None].expand(50, 40, 3), torch.randn(50, 40, 3).double())
+    v = v / v.norm(dim=-1, keepdim=True) * torch.linspace(0.1, RADIUS, 40)[:, None]
+    x = sphere.exp(p[:, None], v) - p[:, None]
+    given = log_on_fan(fan_at(planes, p, tangent=2 * p), x).vector
+    own = log_on_fan(fan_at(planes, p), x).vector
+    assert (given * p[:, None]).sum(-1).abs().max() < 1e-9
+    assert (given - v).norm(dim=-1).mean() < 0.8 * (own - v).norm(dim=-1).mean()
 
 
 def test_points_of_a_fan_lie_on_the_surface_at_their_distance():
