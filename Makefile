@@ -20,8 +20,9 @@ demo: $(STAMP)  ## encode a cloud, draw Exp and Log, print an error table; SHAPE
 test: $(STAMP)  ## run the tests but the slow ones, on WORKERS=2 cores; ARGS passes options to pytest
 	$(PYTEST) -m "not slow" $(ARGS)
 
-slow: $(STAMP)  ## run the slow tests
-	$(PYTEST) -m slow $(ARGS)
+slow: $(STAMP)  ## run the slow tests, each file in a process of its own; a test that hangs ends it and is named
+	grep -rl 'mark\.slow' tests --include='test_*.py' | sort -r | OMP_NUM_THREADS=1 xargs -n 1 -P $(WORKERS) \
+		$(BIN)/python -m pytest --no-header -m slow -o faulthandler_timeout=900 -o faulthandler_exit_on_timeout=true $(ARGS)
 
 lint: $(STAMP)  ## formatting and lint
 	$(BIN)/ruff format --check .

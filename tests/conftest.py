@@ -9,19 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-LONGEST = (
-    "test_examples.py",
-    "test_laws.py",
-    "test_docs.py",
-    "test_why_not_project.py",
-    "test_poor_input.py",
-)
-"""Files that take a minute or more: begun first, so that no core waits for one at the end."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: item.path.name not in LONGEST)  # the order is kept otherwise
-
 
 @pytest.fixture(autouse=True)
 def seed() -> None:
