@@ -16,7 +16,7 @@ from torch.func import jvp
 from riemlayer import checks
 from riemlayer.abstract import AbstractSurface
 from riemlayer.geometry import frame_of, nearest_isometry
-from riemlayer.numerics import normalise, safe_norm
+from riemlayer.numerics import normalise, product, safe_norm
 from riemlayer.queries import value_and_jacobian
 
 STRIDE = 0.5
@@ -94,14 +94,14 @@ class Calculus(AbstractSurface):
     def to_2d(self, p: Tensor, v: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Coordinates (..., 2) of tangent vectors in the frame at p (appendix A)."""
         self.check(p=p, v=v)
-        return (v[..., None, :] @ self.frame(p, shape=shape)[..., :2]).squeeze(-2)
+        return product(v[..., None, :], self.frame(p, shape=shape)[..., :2]).squeeze(-2)
 
     def from_2d(self, p: Tensor, x: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Ambient tangent vectors (..., 3) of coordinates x (..., 2) in the frame at p."""
         self.check(p=p)
         checks.check_vectors("x", x, like=p, width=2)
         checks.check_broadcast(p=p[..., 0], x=x[..., 0])
-        return (self.frame(p, shape=shape)[..., :2] @ x[..., None]).squeeze(-1)
+        return product(self.frame(p, shape=shape)[..., :2], x[..., None]).squeeze(-1)
 
     def geodesic(self, p: Tensor, q: Tensor, t: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Point at t (...) in [0, 1] of the geodesic from p to q: Exp_p(t Log_p(q)) (ours).
@@ -202,12 +202,12 @@ class Calculus(AbstractSurface):
         eye = torch.eye(2, dtype=v.dtype, device=v.device)
         for _ in range(steps):
             end, J = value_and_jacobian(lambda x: self.decode_exp(p, x, shape)[0], v)
-            A = J @ axes
-            normal = A.mT @ A
+            A = product(J, axes)
+            normal = product(A.mT, A)
             damping = 1e-4 + 1e-6 * normal.diagonal(dim1=-2, dim2=-1).sum(-1)  # never singular
             normal = normal + damping[..., None, None] * eye
-            x = torch.linalg.solve(normal, A.mT @ (q - end)[..., None])
-            ahead = v + (axes @ x).squeeze(-1)
+            x = torch.linalg.solve(normal, product(A.mT, (q - end)[..., None]))
+            ahead = v + product(axes, x).squeeze(-1)
             left = safe_norm(q - self.decode_exp(p, ahead, shape)[0])
             v, miss = torch.where(left < miss, ahead, v), torch.minimum(left, miss)
         return v
@@ -254,7 +254,7 @@ class Calculus(AbstractSurface):
         fan = torch.stack((angle.cos(), angle.sin()), -1)[:, None] * length[:, None]
         fan = fan.flatten(0, 1).to(p.dtype)  # (F, 2)
         axes = self.frame(p, shape=shape)[..., :2]
-        v = longest[..., None] * (fan @ axes.mT)
+        v = longest[..., None] * product(fan, axes.mT)
         wide = None if shape is None else shape[..., None]
         logit = self.decode_exp(p[..., None, :], v, wide)[1]
         reach = fan.norm(dim=-1) * longest
@@ -265,8 +265,8 @@ class Calculus(AbstractSurface):
         w = self.decode_log(p, q, shape)[0]
         _, J = value_and_jacobian(lambda x: self.decode_exp(p, x, shape)[0], w)
         here, there = (self.frame(x, shape=shape)[..., :2] for x in (p, q))
-        x = nearest_isometry(there.mT @ J @ here) @ (here.mT @ v[..., None])
-        return (there @ x).squeeze(-1)
+        carried = nearest_isometry(product(there.mT, J, here))
+        return product(there, carried, here.mT, v[..., None]).squeeze(-1)
 
     def _ladder(self, p: Tensor, q: Tensor, v: Tensor, shape: Tensor | None) -> Tensor:
         v = self.project(p, v, shape=shape)

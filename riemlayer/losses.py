@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from riemlayer.heads import MapOutput
 from riemlayer.heads.branch import MapHead
-from riemlayer.numerics import safe_norm
+from riemlayer.numerics import product, safe_norm
 from riemlayer.surface import EncodedSurface
 
 
@@ -72,7 +72,7 @@ def isometric_loss(J: Tensor) -> Tensor:
     >>> isometric_loss(2 * torch.eye(3))
     tensor(9.)
     """
-    M = J.mT @ J
+    M = product(J.mT, J)
     return (M.diagonal(dim1=-2, dim2=-1) - 1).abs().sum(-1).mean()
 
 
@@ -85,7 +85,7 @@ def conformal_loss(J: Tensor) -> Tensor:
     >>> conformal_loss(2 * torch.eye(3))
     tensor(0.)
     """
-    M = J.mT @ J
+    M = product(J.mT, J)
     off = M - torch.diag_embed(M.diagonal(dim1=-2, dim2=-1))
     return off.abs().sum((-2, -1)).mean()
 
@@ -262,7 +262,7 @@ def self_supervised_losses(
     axes = surface.frame(p, shape=shape)[..., :2].detach()
     flat = F.normalize(torch.randn(len(p), vectors, 2, device=p.device, dtype=p.dtype), dim=-1)
     length = torch.rand(len(p), vectors, 1, device=p.device, dtype=p.dtype)
-    v = (axes @ flat[..., None]).squeeze(-1) * length * surface.radius_at(p, shape)[..., None]
+    v = product(axes, flat[..., None]).squeeze(-1) * length * surface.radius_at(p, shape)[..., None]
     scale = surface.scale[shape][..., None]
     terms, total = {}, v.new_zeros(())
     if weights.cyc:
@@ -277,6 +277,6 @@ def self_supervised_losses(
         _, J_log = surface.jacobian_log(p, end, shape=shape)
         there = surface.frame(end, shape=shape)[..., :2].detach()
         for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
-            terms[name] = loss(J_exp @ axes) + loss(J_log @ there)
+            terms[name] = loss(product(J_exp, axes)) + loss(product(J_log, there))
             total = total + weights.geo * terms[name]
     return {"total": total, **terms}

@@ -31,6 +31,14 @@ def normalise(x: Tensor) -> Tensor:
     return x / x.square().sum(-1, keepdim=True).clamp_min(1e-24).sqrt()
 
 
+def product(first: Tensor, *others: Tensor) -> Tensor:
+    """Matrix product of all, in their own precision: halves of autocast are for networks (ours)."""
+    with torch.autocast(first.device.type, enabled=False):
+        for other in others:
+            first = first @ other
+    return first
+
+
 def segment_sum(x: Tensor, index: Tensor, size: int) -> Tensor:
     """Sum of the rows of `x` (N, C) with the same `index` (N,): (size, C); empty groups give 0."""
     return x.new_zeros(size, *x.shape[1:]).index_add(0, index, x)

@@ -30,10 +30,11 @@ def may_end(level: Level, plane: Tensor) -> Tensor:
     """
     n, near = len(level), level.neighbours  # (n, 27)
     centroid, normal = plane.T.split(3, -1)
-    offset = (centroid[near] - centroid[:n, None]) @ frame_of(normal[:n])
-    flat = offset[..., :2] / level.cell_size
-    known = (near < n) & (flat.square().sum(-1) > CLOSE**2)
-    angle = torch.atan2(flat[..., 1], flat[..., 0])
+    offset = (centroid[near] - centroid[:n, None]) / level.cell_size
+    e1, e2, _ = frame_of(normal[:n])[:, None].unbind(-1)
+    x, y = (offset * e1).sum(-1), (offset * e2).sum(-1)
+    known = (near < n) & (x.square() + y.square() > CLOSE**2)
+    angle = torch.atan2(y, x)
     first = angle.masked_fill(~known, torch.inf).amin(-1, keepdim=True)
     angle = torch.where(known, angle, first).sort(-1).values
     following = torch.cat((angle[:, 1:], first + 2 * math.pi), -1)

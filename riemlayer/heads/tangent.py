@@ -55,12 +55,13 @@ class TangentPlane(nn.Module):
     ) -> Tensor:
         near = field.points.normals(p, shape, field.planes.scales[0].coarse)
         normals = torch.stack([normal for normal, *_ in (*seen, *near)], 1)  # (S, n, 3)
-        cosines = normals @ normals.mT
+        cosines = (normals[:, :, None] * normals[:, None]).sum(-1)  # not @, which may be in halves
         n = normals.shape[1]
         first, second = torch.triu_indices(n, n, 1, device=p.device)
         differ = 1 - cosines[:, first, second].square()
         told = torch.cat((*(x.says for x in near), site, differ), -1)
         enough = torch.cat([torch.ones_like(p[:, :1])] * len(seen) + [x.enough for x in near], -1)
-        share = enough * self.shares(told).softmax(-1).to(p.dtype)
+        with torch.autocast(p.device.type, enabled=False):
+            share = enough * self.shares(told).softmax(-1)
         side = torch.where(cosines[:, 0] < 0, -torch.ones_like(share), torch.ones_like(share))
         return normalise(((share * side)[..., None] * normals).sum(1))

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from riemlayer.nn.arguments import check_features
 from riemlayer.nn.polar import PolarConv, angular_max
 from riemlayer.nn.sums import Sums
-from riemlayer.numerics import falloff, safe_norm, segment_sum
+from riemlayer.numerics import falloff, product, safe_norm, segment_sum
 from riemlayer.ops import LocalGeometry
 from riemlayer.surface import EncodedSurface
 
@@ -82,7 +82,9 @@ class AdaptiveGeodesicConv(PolarConv):
         phi = torch.arange(angles, device=self.logit.device, dtype=self.logit.dtype)
         phi = phi * (2 * math.pi / angles)
         fan = self.radii[:, None, None] * torch.stack((phi.cos(), phi.sin()), -1)
-        return geometry.radius[:, None, None] * (fan.flatten(0, 1) @ geometry.frame[..., :2].mT)
+        return geometry.radius[:, None, None] * product(
+            fan.flatten(0, 1), geometry.frame[..., :2].mT
+        )
 
 
 def read(x: Tensor, q: Tensor, points: Tensor, geometry: LocalGeometry) -> Tensor:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.calculus import Calculus
+from riemlayer.numerics import product
 from riemlayer.ops.arguments import check_point
 from riemlayer.ops.stitching import stitch_log
 
@@ -53,6 +54,6 @@ def decal(surface: Calculus, p: Tensor, up: Tensor, size: float, points: Tensor)
     corner, reach = size / math.sqrt(2), float(surface.radius_at(p))
     depth = 0 if corner < reach else math.ceil(2 * (corner / reach - 1)) + 1
     stitched = stitch_log(surface, p, points, depth)
-    uv = stitched.coordinates @ torch.stack((x, y), -1) / size + 0.5
+    uv = product(stitched.coordinates, torch.stack((x, y), -1)) / size + 0.5
     inside = stitched.covered & ((uv >= 0) & (uv <= 1)).all(-1)
     return Decal(uv, inside)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riemlayer.checks import check_shapes
 from riemlayer.geometry import angle_of, frame_of, turn
-from riemlayer.numerics import falloff, normalise, safe_norm
+from riemlayer.numerics import falloff, normalise, product, safe_norm
 from riemlayer.octree import build_octree, knn, radius_search
 from riemlayer.ops.pieces import NEAR, pieces
 from riemlayer.surface import EncodedSurface
@@ -78,7 +78,7 @@ class LocalGeometry(NamedTuple):
             log=log,
             theta=theta,
             transport=self.transport + angle[sender] - angle[receiver],
-            frame=self.frame @ turn_by,
+            frame=product(self.frame, turn_by),
         )
 
 
@@ -115,7 +115,7 @@ def local_geometry(
     log, logit = surface.decode_log(points[:, None], points[filled], shape[:, None])
     normal = orient(surface.normal(points, shape=shape), points, filled, batch)
     frame = frame_of(normal)
-    x = log @ frame[..., :2]  # (N, K, 2)
+    x = product(log, frame[..., :2])  # (N, K, 2)
     r = safe_norm(x).squeeze(-1)
     kept = near >= 0 if radius is None else (near >= 0) & (r <= radius)
     valid = (logit > 0) & (piece[:, None] == piece[filled])
@@ -126,7 +126,7 @@ def local_geometry(
     weight = weight / weight.sum(-1, keepdim=True).clamp_min(1e-12)
     sender, receiver = near[kept], here.expand_as(near)[kept]
     carried = turn(frame[sender, :, 0], normal[sender], normal[receiver])
-    transport = angle_of((carried[:, None] @ frame[receiver, :, :2]).squeeze(1))
+    transport = angle_of(product(carried[:, None], frame[receiver, :, :2]).squeeze(1))
     x = x[kept]
     return LocalGeometry(
         edge_index=torch.stack((sender, receiver)),
@@ -202,8 +202,9 @@ def orient(normal: Tensor, points: Tensor, neighbours: Tensor, batch: Tensor) ->
     """
     chord = normalise(points[neighbours] - points[:, None])
     there = normal[neighbours]
-    flat = (1 - (chord @ normal[..., None]).squeeze(-1).abs()) * (1 - (chord * there).sum(-1).abs())
-    vote = (there @ normal[..., None]).squeeze(-1) * flat  # (N, K)
+    flat = 1 - product(chord, normal[..., None]).squeeze(-1).abs()
+    flat = flat * (1 - (chord * there).sum(-1).abs())
+    vote = product(there, normal[..., None]).squeeze(-1) * flat  # (N, K)
     itself = neighbours == torch.arange(len(points), device=points.device)[:, None]
     vote = torch.where(itself, 0, vote)
     told = vote.new_zeros(len(vote)).index_add(0, neighbours.flatten(), vote.abs().flatten())

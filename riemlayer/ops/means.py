@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riemlayer.calculus import Calculus
 from riemlayer.geometry import angle_of
-from riemlayer.numerics import safe_norm
+from riemlayer.numerics import product, safe_norm
 from riemlayer.ops.arguments import check_cloud, shares
 from riemlayer.queries import value_and_jacobian
 
@@ -124,10 +124,10 @@ def _implicit(
 
     with torch.no_grad():
         _, slope = value_and_jacobian(condition, x)
-        slope = axes.mT @ slope @ axes
+        slope = product(axes.mT, slope, axes)
         eye = torch.finfo(x.dtype).eps * torch.eye(2, dtype=x.dtype, device=x.device)
-        inverse = torch.linalg.solve(slope.mT @ slope + eye, slope.mT)
-    step = (axes @ (inverse @ (axes.mT @ condition(x)[..., None]))).squeeze(-1)
+        inverse = torch.linalg.solve(product(slope.mT, slope) + eye, slope.mT)
+    step = product(axes, inverse, axes.mT, condition(x)[..., None]).squeeze(-1)
     return x - _short(surface, x, step, shape)
 
 
@@ -149,10 +149,10 @@ def tangent_pca(
     wide = None if shape is None else shape[..., None]
     log = surface.decode_log(mean[..., None, :], points, wide)[0]
     axes = surface.frame(mean, shape=shape)[..., :2]
-    x = log @ axes  # (..., K, 2)
-    variances, first = _principal((x.mT @ (w[..., None] * x)).flatten(-2))
+    x = product(log, axes)  # (..., K, 2)
+    variances, first = _principal(product(x.mT, w[..., None] * x).flatten(-2))
     second = torch.stack((-first[..., 1], first[..., 0]), -1)
-    return Principal(mean, variances, axes @ torch.stack((first, second), -1))
+    return Principal(mean, variances, product(axes, torch.stack((first, second), -1)))
 
 
 def _principal(m: Tensor) -> tuple[Tensor, Tensor]:

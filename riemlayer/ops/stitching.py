@@ -10,7 +10,7 @@ from torch import Tensor
 
 from riemlayer.calculus import Calculus
 from riemlayer.geometry import nearest_isometry
-from riemlayer.numerics import falloff, safe_norm
+from riemlayer.numerics import falloff, product, safe_norm
 from riemlayer.ops.arguments import check_cloud, check_point
 
 SHELL = (0.75, 0.95)
@@ -109,7 +109,7 @@ def _charts(
 ) -> tuple[Tensor, Tensor]:
     """Local coordinates (C, N, 2) and weights (C, N), Eq. (9); 0 outside of a chart."""
     log, logit = surface.decode_log(centres[:, None], points[None])
-    local = log @ surface.frame(centres)[:, :, :2]
+    local = product(log, surface.frame(centres)[:, :, :2])
     inside = (logit > 0) & ((points[None] - centres[:, None]).norm(dim=-1) < reach)
     inside &= surface.in_support(centres)[:, None]
     for i, centre in enumerate(centres):
@@ -143,7 +143,7 @@ class _Atlas:
         """Blend charts in, each as far as it fits."""
         fits = 1 / (1 + (misfit / (MISFIT * self.reach)).square())
         weight = weight * fits[:, None]
-        placed = local @ rotation.mT + offset[:, None]
+        placed = product(local, rotation.mT) + offset[:, None]
         self.total += (weight[..., None] * placed).sum(0)
         self.square += (weight * placed.square().sum(-1)).sum(0)
         self.weight += weight.sum(0)
@@ -161,9 +161,9 @@ class _Atlas:
         share = (w / w.sum(-1, keepdim=True).clamp_min(1e-12))[..., None]
         target = self.coordinates()[None]
         mean, goal = (share * local).sum(1, keepdim=True), (share * target).sum(1, keepdim=True)
-        rotation = nearest_isometry((share * (target - goal)).mT @ (local - mean))
-        offset = goal - mean @ rotation.mT
-        left = local @ rotation.mT + offset - target
+        rotation = nearest_isometry(product((share * (target - goal)).mT, local - mean))
+        offset = goal - product(mean, rotation.mT)
+        left = product(local, rotation.mT) + offset - target
         misfit = (share[..., 0] * left.square().sum(-1)).sum(-1).sqrt()
         kept = (enough & (misfit < 3 * MISFIT * self.reach)).nonzero().squeeze(-1)
         return kept, rotation[kept], offset[kept, 0], misfit[kept]

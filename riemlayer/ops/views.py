@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.data.augment import rotation
+from riemlayer.numerics import product
 from riemlayer.surface import CHUNK, EncodedSurface
 
 if TYPE_CHECKING:
@@ -45,9 +46,9 @@ class ViewedSurface(EncodedSurface):
         q, logit = super().decode_exp(p, v, shape, chunk_size)
         moved = q - p
         for turn, surface in self.views:
-            own = (p - self.centre[index]) @ turn.T
-            end, validity = surface.decode_exp(own, v @ turn.T, index, chunk_size)
-            moved, logit = moved + (end - own) @ turn, logit + validity
+            own = product(p - self.centre[index], turn.T)
+            end, validity = surface.decode_exp(own, product(v, turn.T), index, chunk_size)
+            moved, logit = moved + product(end - own, turn), logit + validity
         count = 1 + len(self.views)
         return p + moved / count, logit / count
 
@@ -59,9 +60,9 @@ class ViewedSurface(EncodedSurface):
         centre = self.centre[index]
         vector, logit = super().decode_log(p, q, shape, chunk_size)
         for turn, surface in self.views:
-            own, there = (p - centre) @ turn.T, (q - centre) @ turn.T
+            own, there = (product(x - centre, turn.T) for x in (p, q))
             v, validity = surface.decode_log(own, there, index, chunk_size)
-            vector, logit = vector + v @ turn, logit + validity
+            vector, logit = vector + product(v, turn), logit + validity
         count = 1 + len(self.views)
         return vector / count, logit / count
 
@@ -117,10 +118,10 @@ def _turn(generator: torch.Generator) -> Tensor:
 def _view(surface: EncodedSurface, turn: Tensor, normals: Tensor | None) -> View:
     """A view at the scale of the cloud, or smaller where it would not fit into the cube."""
     index = surface.batch
-    x = (surface.points - surface.centre[index]) @ turn.T
+    x = product(surface.points - surface.centre[index], turn.T)
     width = x.abs().amax(-1)
     scale = surface.scale.scatter_reduce(0, index, width, "amax")
-    told = None if normals is None else normals @ turn.T
+    told = None if normals is None else product(normals, turn.T)
     cube = (x / scale[index][:, None]).clamp(-1, 1)
     embedding = surface.field.embed(cube, index, told)
     return View(

@@ -67,6 +67,17 @@ def test_logs_before_the_correction_lie_in_it():
     assert far.any() and beside[far].max() < 0.05, beside[far].max()
 
 
+@torch.no_grad()
+def test_half_precision_leaves_it_as_it_is():
+    """Fans part at rims by little: a degree here was a third of the radius there."""
+    field = ExpLogField.from_pretrained("base")
+    cloud = 0.9 * lumpy(3000).float()
+    normal, _ = normal_of(field, cloud)
+    with torch.autocast("cpu", torch.bfloat16):
+        half, _ = normal_of(field, cloud)
+    assert torch.linalg.cross(normal, half).norm(dim=-1).max() < 1e-5
+
+
 def test_it_has_gradients_in_its_weights_and_in_the_points():
     field = ExpLogField.from_pretrained("base")
     cloud = (0.9 * lumpy(1500).float()).requires_grad_()
