@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from riemlayer.geometry.walk import fade_in
+from riemlayer.geometry.walk import NEGLIGIBLE, fade_in
 
 STEEP = 0.1
 """How little of a chord along the normal is left when its tangent part is stretched."""
@@ -23,7 +23,7 @@ def lay_flat(normal: Tensor, x: Tensor, cell: float) -> Tensor:
         x: (S, K, 3).
         cell: size of the planes' cells.
     """
-    return _near_identity(x, _flat(normal[:, None], x), cell)
+    return _near_identity(x, _flat(normal[:, None], x, cell), cell)
 
 
 def bend(normal: Tensor, x: Tensor, end: Tensor, cell: float) -> Tensor:
@@ -39,26 +39,26 @@ def bend(normal: Tensor, x: Tensor, end: Tensor, cell: float) -> Tensor:
         end: (S, K, 3) unit normals where the chords end; their sign has no meaning.
         cell: size of the planes' cells.
     """
-    n, tiny = normal[:, None], torch.finfo(x.dtype).tiny
-    t = _flat(n, x)
+    n = normal[:, None]
+    t = _flat(n, x, cell)
     b = torch.linalg.cross(n.expand_as(t), t)
     along, aside = ((end * y).sum(-1, keepdim=True) for y in (t, b))
-    sideways = along * aside / (6 * t.square().sum(-1, keepdim=True)).clamp_min(tiny)
-    half_turn = (1 - (n * end).sum(-1, keepdim=True).abs()) / 2  # sin^2 of half the angle
-    curved = half_turn * along.square() / (along.square() + aside.square()).clamp_min(tiny)
+    square = t.square().sum(-1, keepdim=True).clamp_min((NEGLIGIBLE * cell) ** 2)
+    sideways = along * aside / (6 * square)
+    cosine = (n * end).sum(-1, keepdim=True).abs()
+    curved = along.square() / (2 * square * (1 + cosine))  # sin^2 of half the turn along t
     longer = 1 + curved / 6 + 0.075 * curved.square()  # asin(y) / y to the fifth order
     bent = longer * (t + sideways * b) / (1 + sideways.square()).sqrt()
     return _near_identity(x, bent, cell)
 
 
-def _flat(normal: Tensor, x: Tensor) -> Tensor:
+def _flat(normal: Tensor, x: Tensor, cell: float) -> Tensor:
     """Tangent part of chords (S, K, 3), stretched to their lengths."""
-    tiny = torch.finfo(x.dtype).tiny
     height = (x * normal).sum(-1, keepdim=True)
     tangent = x - height * normal
-    square = x.square().sum(-1, keepdim=True).clamp_min(tiny)
+    square = x.square().sum(-1, keepdim=True).clamp_min((NEGLIGIBLE * cell) ** 2)
     up = height.square()
-    return (square / (square - up + STEEP * up * (up / square)).clamp_min(tiny)).sqrt() * tangent
+    return (square / (square - up + STEEP * up * (up / square))).sqrt() * tangent
 
 
 def _near_identity(x: Tensor, log: Tensor, cell: float) -> Tensor:

@@ -84,3 +84,21 @@ def test_bent_chords_can_be_differentiated():
     inputs = [y.requires_grad_() for y in (n, 0.2 * torch.randn(3, 4, 3).double(), end)]
     run = lambda n, x, end: bend(n, x, end, CELL)  # noqa: E731
     assert torch.autograd.gradcheck(run, inputs, check_forward_ad=True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("length", [0, 1e-25, 1e-12, 0.2])
+def test_second_derivatives_are_bounded_at_the_source_and_where_nothing_turns(length, dtype):
+    """Eq. (3) trains on first ones; a plane's ends lie level with its source but for rounding."""
+    n = normalize(lumpy(300)[:20], dim=-1).to(dtype).requires_grad_()
+    x = torch.linalg.cross(n.detach()[:, None].expand(20, 8, 3), torch.randn(20, 8, 3).to(dtype))
+    x = length * normalize(x, dim=-1)
+
+    def log(x: Tensor) -> Tensor:
+        end = n[:, None].expand_as(x)
+        return bend(n, x, end / end.square().sum(-1, keepdim=True).sqrt(), CELL)
+
+    for axis in torch.eye(3, dtype=dtype):
+        _, moved = torch.func.jvp(log, (x,), (axis.expand_as(x),))
+        (gradient,) = torch.autograd.grad(moved.sum(), n)
+        assert gradient.abs().max() < 8 / CELL, gradient.abs().max()
