@@ -32,7 +32,7 @@ def main() -> None:
         share, charts = float(stitched.covered.float().mean()), len(stitched.charts.centre)
         misfit = float(stitched.charts.misfit.max())
         print(f"{depth} rounds: {charts} charts, {share:.0%} of the points, misfit {misfit:.3f}")
-        drawings.append(draw(points, p, stitched, f"{charts} charts"))
+        drawings.append(draw(points, p, stitched, f"{charts} chart{'s' * (charts > 1)}"))
     args.output.mkdir(parents=True, exist_ok=True)
     view = viewpoint(points, surface.frame(p)[:, 2] * outward(surface.frame(p)[:, 2], p, points))
     size = 240 if args.fast else 640
