@@ -33,6 +33,9 @@ class ExpLogPretraining(L.LightningModule):
         config: in the place of `preset`, as a `FieldConfig` or what its `to_dict` gives.
     """
 
+    flops_per_batch: int | None = None
+    """Not counted; Lightning's `ThroughputMonitor` asks for it."""
+
     def __init__(
         self,
         preset: str = "base",
