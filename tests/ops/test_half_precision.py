@@ -1,4 +1,4 @@
-"""Under autocast networks may take halves; coordinates, frames and rotations keep their precision."""
+"""Under autocast networks may take halves; coordinates, frames and turns keep their precision."""
 
 import pytest
 import torch
