@@ -10,6 +10,7 @@ from torch import Tensor
 from riemlayer.config import SCALES, WALKS, HeadConfig
 from riemlayer.geometry import (
     MET,
+    Fan,
     LocalPlanes,
     Shell,
     Walked,
@@ -41,6 +42,8 @@ NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
 beyond which none again: no geodesic is shorter than its chord."""
 ON_SHELL = 2
 """Steps of a walk on a shell, in those of one over planes."""
+PIECE = 1 << 13
+"""Vectors that are walked at once: more of them fit no cache."""
 WALK = 13 + MET
 """Channels that Exp's decoder is told of a walk: 3 + 1 + 3 + 6, and what it met."""
 FAN = 13 + MET
@@ -211,8 +214,11 @@ class LogHead(MapHead):
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        how = self.config.fan_rays, self.radius, steps, None if normal is None else normal[rows]
-        fan = fan_of(ground, p[rows], place[rows], *how)
+        rays = self.config.fan_rays
+        sources = (p, place) if normal is None else (p, place, normal)
+        each = zip(*(y[rows].split(max(1, PIECE // rays)) for y in sources), strict=True)
+        fans = [fan_of(ground, x, at, rays, self.radius, steps, *n) for x, at, *n in each]
+        fan = Fan(*(torch.cat(y) for y in zip(*fans, strict=True)))
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)
@@ -270,7 +276,10 @@ def _walked(
 ) -> Walked:
     """Where walks of S sources along v (S, K, 3) end (S, K, ...); of what they met the mean."""
     start, place, normal, height = (y.repeat_interleave(v.shape[1], 0) for y in (p, place, *plane))
-    end = walk(ground, start, v.flatten(0, 1), place, steps, (normal, height))
+    rows = (y.split(PIECE) for y in (start, v.flatten(0, 1), place, normal, height))
+    each = zip(*rows, strict=True)
+    ends = [walk(ground, x, w, at, steps, (n, h)) for x, w, at, n, h in each]
+    end = Walked(*(torch.cat(y) for y in zip(*ends, strict=True)))
     end = end._replace(met=end.met / steps)
     return Walked(*(y.unflatten(0, v.shape[:2]) for y in end))
 
