@@ -43,7 +43,7 @@ beyond which none again: no geodesic is shorter than its chord."""
 ON_SHELL = 2
 """Steps of a walk on a shell, in those of one over planes."""
 PIECE = 1 << 13
-"""Vectors that are walked at once: more of them fit no cache."""
+"""Vectors that are walked at once: what more need is returned to the system at every step."""
 WALK = 13 + MET
 """Channels that Exp's decoder is told of a walk: 3 + 1 + 3 + 6, and what it met."""
 FAN = 13 + MET

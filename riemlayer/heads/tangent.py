@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from riemlayer.geometry.points import REACHES, SAYS
 from riemlayer.heads.branch import SITE, Embedding
-from riemlayer.numerics import normalise
+from riemlayer.numerics import normalise, product
 
 FIRST = 3.0
 """Logit of the shares of the first planes and of the neighbourhood of most points, untrained."""
@@ -55,7 +55,7 @@ class TangentPlane(nn.Module):
     ) -> Tensor:
         near = field.points.normals(p, shape, field.planes.scales[0].coarse)
         normals = torch.stack([normal for normal, *_ in (*seen, *near)], 1)  # (S, n, 3)
-        cosines = (normals[:, :, None] * normals[:, None]).sum(-1)  # not @, which may be in halves
+        cosines = product(normals, normals.mT)
         n = normals.shape[1]
         first, second = torch.triu_indices(n, n, 1, device=p.device)
         differ = 1 - cosines[:, first, second].square()
