@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 from lightning_modules.lookups import MAPS, LookUps, read_look_ups
 from lightning_modules.pretrain import ExpLogPretraining
 from riemlayer.heads.branch import MapHead
-from riemlayer.losses import LossWeights, pair_loss, reconstruction_loss, validity_loss
+from riemlayer.losses import Asked, LossWeights, map_losses
 
 
 class ExpLogHeadFitting(ExpLogPretraining):
@@ -71,20 +71,12 @@ def head_losses(head: MapHead, told: LookUps, name: str, weights: LossWeights) -
     assert head.gate is not None  # look-ups are made of heads with one
     prior, trust = head.gate(list(told.priors.unbind(-2)), [rows], told.site)
     vector, logit = head.answer(told.z, told.x, prior, (rows,), told.site, trust)
-    vector, logit, prior = vector[:, 1:], logit[:, 1:], prior[:, 1:]
-    good = (told.valid & told.known).to(vector.dtype)
-    weight = good / (told.length + 0.1) if weights.relative else good
-    terms = {
-        name: reconstruction_loss(vector, told.truth, weight),
-        f"{name}/prior": reconstruction_loss(prior, told.truth, weight),
-        f"{name}/validity": validity_loss(logit, told.valid, told.known),
-    }
-    total = weights.rec * terms[name] + weights.prior * terms[f"{name}/prior"]
-    total = total + weights.validity * terms[f"{name}/validity"]
-    if name == "log" and weights.pairs:
-        terms["log/pairs"] = pair_loss(vector - told.truth, told.x[:, 1:], weight)
-        total = total + weights.pairs * terms["log/pairs"]
-    return terms | {f"{name}/total": total}
+    vector, logit, prior = (y[:, 1:] for y in (vector, logit, prior))
+    labels = told.valid, told.known
+    weight = weights.weigh(told.length, labels)
+    at = told.x[:, 1:] if name == "log" else None
+    terms = map_losses(Asked(vector, logit, prior, told.truth, labels, weight, at), weights)
+    return {f"{name}/{term}": loss for term, loss in terms.items()}
 
 
 class LookUpModule(L.LightningDataModule):

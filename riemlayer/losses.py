@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from riemlayer.heads import MapOutput
 from riemlayer.heads.branch import MapHead
 from riemlayer.numerics import product, safe_norm
 from riemlayer.surface import EncodedSurface
@@ -41,6 +40,11 @@ class LossWeights:
         for name in ("rec", "geo", "cyc", "pairs", "validity", "prior"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+    def weigh(self, length: Tensor, labels: tuple[Tensor, Tensor]) -> Tensor:
+        """What queries (...) of a length in the cube count: 0 where not valid and known."""
+        good = torch.logical_and(*labels).to(length.dtype)
+        return good / (length + 0.1) if self.relative else good
 
 
 def reconstruction_loss(predicted: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
@@ -143,6 +147,40 @@ class Truth:
     """(S,) int64, cloud of each source."""
 
 
+class Asked(NamedTuple):
+    """K queries at each of S sources, and what a map answered, in the cube."""
+
+    vector: Tensor
+    """(S, K, 3) q - p for Exp, v for Log."""
+    logit: Tensor
+    """(S, K) of the validity."""
+    prior: Tensor | None
+    """(S, K, 3) the answer without the decoder's correction; None of a head without one."""
+    truth: Tensor
+    """(S, K, 3)"""
+    labels: tuple[Tensor, Tensor]
+    """(S, K) bool, valid and known, see `Truth`."""
+    weight: Tensor
+    """(S, K) what each query counts, see `LossWeights.weigh`."""
+    at: Tensor | None
+    """(S, K, 3) where the queries are; None: no pairs."""
+
+
+def map_losses(
+    of: Asked, weights: LossWeights, mean: Callable[..., Tensor] = lambda loss, *of: loss(*of)
+) -> dict[str, Tensor]:
+    """Terms of Eq. (1) that ask one map alone, and their sum, `total`; `mean` applies a loss."""
+    terms = {"rec": mean(reconstruction_loss, of.vector, of.truth, of.weight)}
+    if weights.prior and of.prior is not None:
+        terms["prior"] = mean(reconstruction_loss, of.prior, of.truth, of.weight)
+    if weights.pairs and of.at is not None:
+        terms["pairs"] = mean(pair_loss, of.vector - of.truth, of.at, of.weight)
+    if weights.validity:
+        terms["validity"] = mean(validity_loss, of.logit, *of.labels)
+    total = torch.stack([getattr(weights, name) * loss for name, loss in terms.items()]).sum()
+    return {"total": total, **terms}
+
+
 def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -> dict[str, Tensor]:
     """Eq. (1) and its terms, by name; lengths in the normalised cube.
 
@@ -153,57 +191,39 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
     Eq. (3) needs Jacobians, the costly part: it is averaged over every eighth query, and Eq. (4)
     over every fourth, where the paper takes all.
     """
-    p, v, q = truth.p[:, None], truth.v, truth.q
-    shape = truth.shape[:, None]
+    p, v, q, shape = truth.p[:, None], truth.v, truth.q, truth.shape[:, None]
     scale = surface.scale[shape][..., None]
-    good = (truth.valid & truth.known).to(v.dtype)
-    length = v.norm(dim=-1) / scale.squeeze(-1)
-    weight = good / (length + 0.1) if weights.relative else good
     moved, v_cube = (q - p) / scale, v / scale
-    (exp, exp_logit), exp_prior = _answer(surface, "exp", truth)
-    (log, log_logit), log_prior = _answer(surface, "log", truth)
+    labels = truth.valid, truth.known
+    weight = weights.weigh(v_cube.norm(dim=-1), labels)
     mean = partial(mean_over_shapes, truth.shape, len(surface.scale))
-    terms = {
-        "exp": mean(reconstruction_loss, exp, moved, weight),
-        "log": mean(reconstruction_loss, log, v_cube, weight),
-    }
-    total = weights.rec * (terms["exp"] + terms["log"])
-    if weights.prior and exp_prior is not None and log_prior is not None:
-        terms["prior"] = mean(reconstruction_loss, exp_prior, moved, weight) + mean(
-            reconstruction_loss, log_prior, v_cube, weight
-        )
-        total = total + weights.prior * terms["prior"]
-    if weights.pairs:
-        terms["pairs"] = mean(pair_loss, log - v_cube, q / scale, weight)
-        total = total + weights.pairs * terms["pairs"]
+    exp = Asked(*_answer(surface, "exp", truth), moved, labels, weight, None)
+    log = Asked(*_answer(surface, "log", truth), v_cube, labels, weight, q / scale)
+    own = [map_losses(of, weights, mean) for of in (exp, log)]
+    terms = {"exp": own[0]["rec"], "log": own[1]["rec"]}
+    for name in ("prior", "pairs", "validity"):
+        if found := [losses[name] for losses in own if name in losses]:
+            terms[name] = torch.stack(found).sum()
+    total = own[0]["total"] + own[1]["total"]
     if weights.cyc:
-        some = slice(None, None, 4)
-        again, _ = surface.decode_log(p, p + scale * exp[:, some], shape)
-        cycle = again / scale, v_cube[:, some], weight[:, some]
-        terms["cycle"] = mean(cycle_loss, *cycle)
+        again, _ = surface.decode_log(p, p + scale * exp.vector[:, ::4], shape)
+        terms["cycle"] = mean(cycle_loss, again / scale, v_cube[:, ::4], weight[:, ::4])
         total = total + weights.cyc * terms["cycle"]
     if weights.geo:
-        some = slice(None, None, 8)
-        _, J_exp = surface.jacobian_exp(p, v[:, some], shape=shape)
-        _, J_log = surface.jacobian_log(p, q[:, some], shape=shape)
-        chosen = good[:, some].bool()
+        _, J_exp = surface.jacobian_exp(p, v[:, ::8], shape=shape)
+        _, J_log = surface.jacobian_log(p, q[:, ::8], shape=shape)
+        chosen = torch.logical_and(*labels)[:, ::8]
         for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
             of_chosen = partial(_loss_of_chosen, loss)
             terms[name] = mean(of_chosen, J_exp, chosen) + mean(of_chosen, J_log, chosen)
             total = total + weights.geo * terms[name]
-    if weights.validity:
-        labels = truth.valid, truth.known
-        terms["validity"] = mean(validity_loss, exp_logit, *labels) + mean(
-            validity_loss, log_logit, *labels
-        )
-        total = total + weights.validity * terms["validity"]
     return {"total": total, **terms}
 
 
 def _answer(
     surface: EncodedSurface, which: Literal["exp", "log"], truth: Truth
-) -> tuple[MapOutput, Tensor | None]:
-    """What a head answers in the cube, q - p or v (S, K, 3), and its prior, if it has one."""
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """What a head answers in the cube: `vector`, `logit` and `prior` of `Asked`."""
     head: MapHead = getattr(surface.field, f"{which}_head")
     scale, centre = surface.scale[truth.shape][:, None], surface.centre[truth.shape]
     x = truth.v if which == "exp" else truth.q - centre[:, None]
@@ -213,7 +233,7 @@ def _answer(
         )
         vector, logit = head.answer(*found)
     prior = None if found.prior is None else found.prior[:, found.first :]
-    return MapOutput(vector[:, found.first :], logit[:, found.first :]), prior
+    return vector[:, found.first :], logit[:, found.first :], prior
 
 
 def mean_over_shapes(
@@ -268,14 +288,12 @@ def self_supervised_losses(
     if weights.cyc:
         end, _ = surface.decode_exp(p, v, shape)
         back, _ = surface.decode_log(p, end, shape)
-        weight = torch.ones_like(length).squeeze(-1)
-        terms["cycle"] = cycle_loss(back / scale, v / scale, weight)
+        terms["cycle"] = cycle_loss(back / scale, v / scale, torch.ones_like(length[..., 0]))
         total = total + weights.cyc * terms["cycle"]
     if weights.geo:
         end, J_exp = surface.jacobian_exp(p, v[:, ::8], shape=shape)
-        end = end.detach()
-        _, J_log = surface.jacobian_log(p, end, shape=shape)
-        there = surface.frame(end, shape=shape)[..., :2].detach()
+        _, J_log = surface.jacobian_log(p, end.detach(), shape=shape)
+        there = surface.frame(end.detach(), shape=shape)[..., :2].detach()
         for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
             terms[name] = loss(product(J_exp, axes)) + loss(product(J_log, there))
             total = total + weights.geo * terms[name]
