@@ -1,7 +1,7 @@
 """Local planes of a cloud, geodesic walking, frames."""
 
 from riemlayer.geometry.chord import bend, lay_flat
-from riemlayer.geometry.fan import Fan, FanLog, fan_of, log_on_fan
+from riemlayer.geometry.fan import WALKED, Fan, FanLog, fan_of, log_on_fan
 from riemlayer.geometry.frames import angle_of, frame_of, nearest_isometry
 from riemlayer.geometry.planes import LocalPlanes, local_planes, planes_at_scales
 from riemlayer.geometry.points import Points
@@ -10,6 +10,7 @@ from riemlayer.geometry.walk import MET, Walked, fade_in, turn, walk
 
 __all__ = [
     "MET",
+    "WALKED",
     "Fan",
     "FanLog",
     "LocalPlanes",

@@ -28,6 +28,8 @@ the two sides of a thin sheet apart."""
 SHORTER = 0.15
 """What a squared length counts beside a squared distance: of two sheets that are as near, the one
 that is reached sooner prevails."""
+WALKED = 1 + MET
+"""Channels that say how a point was reached."""
 
 
 class Fan(NamedTuple):
@@ -39,6 +41,19 @@ class Fan(NamedTuple):
     values: Tensor
     """(S, F, 22 + MET): matrix A and offset b of log(x) = A x + b (9 + 3), |v|, products of
     the normal (6), the point again, and what the walk there met, a step."""
+
+    @property
+    def walked(self) -> Tensor:
+        """(S, F, WALKED) how each point was reached."""
+        return torch.cat((self.values[..., 12:13], self.values[..., -MET:]), -1)
+
+    def counting(self, count: Tensor) -> Fan:
+        """The same points, of which each counts exp(count) times as much (S, F, 1)."""
+        return self._replace(key=self.key + WIDTH**2 * F.pad(count, (3, 6)))
+
+    def joined(self, fans: int) -> Fan:
+        """(S, fans F, ...) of `fans` fans at each source, those of all sources in turn."""
+        return Fan(*(y.unflatten(0, (fans, -1)).transpose(0, 1).flatten(1, 2) for y in self))
 
 
 class FanLog(NamedTuple):

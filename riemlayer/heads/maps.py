@@ -33,6 +33,7 @@ from riemlayer.heads.branch import (
     read_narrow,
     sites,
 )
+from riemlayer.heads.fans import JointFan
 from riemlayer.heads.tangent import TangentPlane
 from riemlayer.numerics import in_columns, outer6, safe_norm
 from riemlayer.octree import interpolate
@@ -142,8 +143,8 @@ class ExpHead(MapHead):
 class LogHead(MapHead):
     """Log_p(q) = prior(x) + t |x| (h(x) - h(0)) with x = q - p (ours).
 
-    A first prior lays the chord flat on the tangent plane of the cloud. Others, which agree with it
-    close to p, are read from fans of geodesics, walked from p where those of Exp walk; the last one
+    A first prior lays the chord flat on the tangent plane of the cloud. Others agree with it close
+    to p: one is read from fans of geodesics, walked from p where those of Exp walk; the last one
     bends the chord as the finest planes at both its ends say. A gate decides between them, and what
     the correction counts, t. h sees the triplane of z(p) at x, the priors, the planes at p and at
     q, and the narrow embedding at q and half-way. Log_p(p) = 0 and d(Log_p)_p = I by construction.
@@ -155,11 +156,11 @@ class LogHead(MapHead):
         self.fans = min(config.walks, SCALES) if config.fan_rays else 0
         self.shells = bool(self.fans) and config.walks == WALKS
         self.bends = scales > 1
-        fans = self.fans + self.shells
-        told = 4 + FAN * fans + BENT * self.bends + 2 * config.narrow + SITE * scales
-        told = told if config.anchored else 0
+        others = bool(self.fans) + self.shells + self.bends
+        told = 4 + FAN * (others - self.bends) + BENT * self.bends + 2 * config.narrow
+        told = told + SITE * scales if config.anchored else 0
         super().__init__(embedding, told, radius, config)
-        others = fans + self.bends
+        self.joint = JointFan(self.fans, SITE * scales + 1) if self.fans else None
         self.gate = Gate(told, others, (0,) * self.shells) if config.anchored else None
         self.tangent_plane = TangentPlane(scales) if config.anchored else None
 
@@ -178,10 +179,10 @@ class LogHead(MapHead):
         share = fan_share(x / self.radius)
         if self.fans:
             places = field.planes.places(shape, self.fans)
-            asked = (torch.cat([y] * self.fans) for y in (p, x, flat, share, normal))
-            fans, says = self.on_fan(field.planes, places, self.config.walk_steps, *asked)
-            priors += fans.chunk(self.fans)
-            told += says.chunk(self.fans)
+            asked = p, x, flat, share, normal, site
+            log, says = self.on_fan(field.planes, places, self.config.walk_steps, *asked)
+            priors.append(log)
+            told.append(says)
         if self.shells:
             share = share * beside(field, seen)[:, None]
             way, says = self.on_shells(field, p, x, flat, shape, share)
@@ -204,8 +205,11 @@ class LogHead(MapHead):
         flat: Tensor,
         share: Tensor,
         normal: Tensor | None = None,
+        site: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Logs on fans over planes or shells (S, K, 3), and what is told of them (S, K, FAN).
+
+        `place` are those of every fan at each source (fans S,), which answer as one by the `site`.
 
         Only sources and queries in which fans have a share are looked at; others stay `flat`.
         """
@@ -214,11 +218,14 @@ class LogHead(MapHead):
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        rays = self.config.fan_rays
-        sources = (p, place) if normal is None else (p, place, normal)
-        each = zip(*(y[rows].split(max(1, PIECE // rays)) for y in sources), strict=True)
-        fans = [fan_of(ground, x, at, rays, self.radius, steps, *n) for x, at, *n in each]
+        rays, place = self.config.fan_rays, place.view(-1, len(p))[:, rows]
+        sources = [y[rows].repeat(len(place), 1) for y in (p, normal) if y is not None]
+        pieces = (y.split(max(1, PIECE // rays)) for y in (place.flatten(), *sources))
+        each = zip(*pieces, strict=True)
+        fans = [fan_of(ground, x, at, rays, self.radius, steps, *n) for at, x, *n in each]
         fan = Fan(*(torch.cat(y) for y in zip(*fans, strict=True)))
+        if self.joint is not None and site is not None:
+            fan = self.joint(fan, site[rows])
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
         read = log_on_fan(fan, chords)
