@@ -20,8 +20,9 @@ from riemlayer.losses import Asked, LossWeights, map_losses
 class ExpLogHeadFitting(ExpLogPretraining):
     """Trains gates and decoders of a field whose backbone stays as it is (ours).
 
-    So does Log's tangent plane, which was chosen before heads were told anything. The losses are
-    those of `ExpLogPretraining` but Eqs (3) and (4), which need the field.
+    So do Log's tangent plane and what points of its fans count, which was settled before heads were
+    told anything. The losses are those of `ExpLogPretraining` but Eqs (3) and (4), which need the
+    field.
 
     Args:
         start_from: packaged name or folder of the weights that the look-ups were made with.
