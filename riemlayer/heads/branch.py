@@ -164,20 +164,31 @@ class Gate(nn.Module):
         others: priors beside the first.
         ways: which of these are no ends but ways to go from wherever one is, such as to the height
             of the source.
+        lean: logits of the others' shares until they are trained; 0 for those that are not named.
 
     Shapes: priors (S, K, 3) each, told (S, K, ...), site (S, ...) -> prior (S, K, 3), trust
     (S, K, 1).
     """
 
     def __init__(
-        self, told: int, others: int, ways: tuple[int, ...] = (), hidden: int = 64
+        self,
+        told: int,
+        others: int,
+        ways: tuple[int, ...] = (),
+        lean: tuple[float, ...] = (),
+        hidden: int = 64,
     ) -> None:
         super().__init__()
         self.ways = ways
         self.first = nn.Linear(told, hidden)
         self.body = nn.Sequential(
-            nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, others + 1)
+            nn.GELU(),
+            nn.Linear(hidden, hidden),
+            nn.GELU(),
+            last := nn.Linear(hidden, others + 1),
         )
+        with torch.no_grad():
+            last.bias[: len(lean)] += torch.tensor(lean)
 
     def forward(
         self, priors: list[Tensor], told: list[Tensor], site: Tensor

@@ -41,6 +41,8 @@ from riemlayer.octree import interpolate
 NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
 """Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
 beyond which none again: no geodesic is shorter than its chord."""
+LEAN = 2.0
+"""Logit of the fan's share in Log until it is trained: chords serve close to p alone."""
 ON_SHELL = 2
 """Steps of a walk on a shell, in those of one over planes."""
 PIECE = 1 << 13
@@ -156,12 +158,12 @@ class LogHead(MapHead):
         self.fans = min(config.walks, SCALES) if config.fan_rays else 0
         self.shells = bool(self.fans) and config.walks == WALKS
         self.bends = scales > 1
-        others = bool(self.fans) + self.shells + self.bends
-        told = 4 + FAN * (others - self.bends) + BENT * self.bends + 2 * config.narrow
-        told = told + SITE * scales if config.anchored else 0
-        super().__init__(embedding, told, radius, config)
+        fans = bool(self.fans) + self.shells
+        told = 4 + FAN * fans + BENT * self.bends + 2 * config.narrow + SITE * scales
+        super().__init__(embedding, told if config.anchored else 0, radius, config)
         self.joint = JointFan(self.fans, SITE * scales + 1) if self.fans else None
-        self.gate = Gate(told, others, (0,) * self.shells) if config.anchored else None
+        ways, lean = (0,) * self.shells, (0.0,) * self.shells + (LEAN,) * bool(self.fans)
+        self.gate = Gate(told, fans + self.bends, ways, lean) if config.anchored else None
         self.tangent_plane = TangentPlane(scales) if config.anchored else None
 
     def prepare(self, field: Embedding, p: Tensor, q: Tensor, shape: Tensor) -> Prepared:
@@ -209,9 +211,8 @@ class LogHead(MapHead):
     ) -> tuple[Tensor, Tensor]:
         """Logs on fans over planes or shells (S, K, 3), and what is told of them (S, K, FAN).
 
-        `place` are those of every fan at each source (fans S,), which answer as one by the `site`.
-
-        Only sources and queries in which fans have a share are looked at; others stay `flat`.
+        The fans at each source, one a `place` (fans S,), answer as one by its `site`. Only sources
+        and queries in which they have a share are looked at; others stay `flat`.
         """
         asked = share.detach().squeeze(-1) > 0
         rows, columns = (asked.any(i).nonzero().squeeze(-1) for i in (1, 0))
