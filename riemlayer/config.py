@@ -79,7 +79,8 @@ class HeadConfig:
     walk_steps: int = 16
     """Steps of the walks over planes, which are taken together; on a shell twice as many."""
     fan_rays: int = 48
-    """Geodesics of each fan that Log starts from, one fan a walk of Exp; 0: chords alone."""
+    """Geodesics of each fan that Log starts from, one fan a walk of Exp, which answer as one over
+    planes; 0: chords alone."""
     decoder: str = "triplane"
     """`triplane`, or `siren` (Tab. 5): a modulated sine network, without planes."""
 
