@@ -14,7 +14,8 @@ class ExponentialAverage(L.Callback):
 
     Args:
         decay: of the average a step; early on it is (1 + n) / (10 + n).
-        export: folder that `save_pretrained` writes the averaged field to, at every validation.
+        export: folder that `save_pretrained` writes the averaged field to, at every validation and
+            at the end.
     """
 
     def __init__(self, decay: float = 0.999, export: str | None = None) -> None:
@@ -48,6 +49,11 @@ class ExponentialAverage(L.Callback):
         if self._own:
             pl_module.field.load_state_dict(self._own)
             self._own = {}
+
+    def on_train_end(self, trainer: L.Trainer, pl_module: Any) -> None:
+        """Exports the average of the last step, also of a run too short for a validation."""
+        self.on_validation_start(trainer, pl_module)
+        self.on_validation_end(trainer, pl_module)
 
     def state_dict(self) -> dict[str, Any]:
         """The average, for checkpoints."""

@@ -55,9 +55,10 @@ class AtomicCheckpointIO(TorchCheckpointIO):
 
 
 class SoundCheckpoint(ModelCheckpoint):
-    """`ModelCheckpoint` that waits while a `DivergenceGuard` of the trainer doubts the loss.
+    """`ModelCheckpoint` that saves at the end too, and waits while the loss is in doubt.
 
-    The last file is then one from before the loss began to explode.
+    While a `DivergenceGuard` of the trainer doubts the loss, the last file is one from before it
+    began to explode.
     """
 
     def on_train_batch_end(
@@ -69,6 +70,19 @@ class SoundCheckpoint(ModelCheckpoint):
         batch_idx: int,
     ) -> None:
         """Saves where a save is due and no guard is in doubt."""
-        callbacks: list[Any] = trainer.callbacks  # pyright: ignore[reportAttributeAccessIssue]
-        if not any(isinstance(x, DivergenceGuard) and x.in_doubt for x in callbacks):
+        if not in_doubt(trainer):
             super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
+
+    def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Saves the last step, also of a run shorter than `every_n_train_steps`."""
+        super().on_train_end(trainer, pl_module)
+        if not in_doubt(trainer):
+            now = {"epoch": trainer.current_epoch, "step": trainer.global_step}
+            metrics = trainer.callback_metrics | {k: torch.tensor(x) for k, x in now.items()}
+            trainer.save_checkpoint(self.format_checkpoint_name(metrics))
+
+
+def in_doubt(trainer: L.Trainer) -> bool:
+    """Whether a guard of the trainer doubts the loss."""
+    callbacks: list[Any] = trainer.callbacks  # pyright: ignore[reportAttributeAccessIssue]
+    return any(isinstance(x, DivergenceGuard) and x.in_doubt for x in callbacks)

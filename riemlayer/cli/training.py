@@ -78,9 +78,14 @@ def pretrain(
         cli.main(["fit", "--config", str(out / "pretrain.yaml"), *flags, *go_on])
     if import_module("lightning.pytorch.utilities").rank_zero_only.rank:
         return None  # the first rank answers
-    weights = out / "average"
-    facts = {"out": str(out), "weights": str(weights), "checkpoint": str(out / "last.ckpt")}
-    return Answer(facts | {"resumed": resumed}, f"{weights}: weights; {out}/last.ckpt: checkpoint")
+    weights, checkpoint = out / "average", out / "last.ckpt"
+    if missing := [path.name for path in (weights, checkpoint) if not path.exists()]:
+        raise UserError(
+            f"{out}: the run ended and kept no {' and no '.join(missing)}; a --config needs the "
+            "callbacks ExponentialAverage and SoundCheckpoint of the packaged one"
+        )
+    facts = {"out": str(out), "weights": str(weights), "checkpoint": str(checkpoint)}
+    return Answer(facts | {"resumed": resumed}, f"{weights}: weights; {checkpoint}: checkpoint")
 
 
 def read_settings(config: Path | None) -> dict[str, Any]:

@@ -42,7 +42,8 @@ NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
 """Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
 beyond which none again: no geodesic is shorter than its chord."""
 LEAN = 2.0
-"""Logit of the fan's share in Log until it is trained: chords serve close to p alone."""
+"""Logit of the fan's share in Log until it is trained, of the bent chord's less: chords serve close
+to p alone."""
 ON_SHELL = 2
 """Steps of a walk on a shell, in those of one over planes."""
 PIECE = 1 << 13
@@ -162,7 +163,8 @@ class LogHead(MapHead):
         told = 4 + FAN * fans + BENT * self.bends + 2 * config.narrow + SITE * scales
         super().__init__(embedding, told if config.anchored else 0, radius, config)
         self.joint = JointFan(self.fans, SITE * scales + 1) if self.fans else None
-        ways, lean = (0,) * self.shells, (0.0,) * self.shells + (LEAN,) * bool(self.fans)
+        ways = (0,) * self.shells
+        lean = (0.0,) * self.shells + (LEAN,) * bool(self.fans) + (-LEAN,) * self.bends
         self.gate = Gate(told, fans + self.bends, ways, lean) if config.anchored else None
         self.tangent_plane = TangentPlane(scales) if config.anchored else None
 

@@ -10,7 +10,7 @@ from references import fibonacci_sphere
 
 from riemlayer import ExpLogField
 from riemlayer.cli.errors import UserError
-from riemlayer.cli.training import library_run
+from riemlayer.cli.training import library_run, read_settings
 from riemlayer.data.closed_form import Sphere
 from riemlayer.data.sample_file import write_sample
 
@@ -66,6 +66,31 @@ def test_training_goes_on_and_its_weights_can_be_used(
     log = ["log", shapes / "cloud.npz", "-s", 0, "-o", tmp_path / "log.npz", "--weights", out]
     assert well(*log).code == 0
     refused(run("export", first["checkpoint"], "-o", out), "--out", "exists")
+
+
+@pytest.mark.filterwarnings("ignore::Warning:lightning")
+@pytest.mark.filterwarnings("ignore::Warning:jsonargparse")
+def test_a_run_shorter_than_the_time_between_checkpoints_keeps_its_last_step(
+    well, run, samples, tmp_path, refused
+):
+    pytest.importorskip("lightning")
+    import yaml
+
+    words = ["pretrain", samples, "-o", tmp_path / "run", "--preset", "tiny", "--json"]
+    flags = ["--trainer.max_steps", "2", "--trainer.logger", "false"]
+    flags += ["--data.sources", "2", "--data.vectors", "8"]
+    facts = well(*words, *flags).facts
+    state = torch.load(facts["checkpoint"], weights_only=False)
+    (average,) = (x["average"] for x in state["callbacks"].values() if "average" in x)
+    kept = ExpLogField.from_pretrained(facts["weights"]).state_dict()
+    assert state["global_step"] == 2 and kept.keys() == average.keys()
+    assert all(torch.equal(x, average[name]) for name, x in kept.items())
+
+    settings = read_settings(None)
+    del settings["trainer"]["callbacks"]
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(settings))
+    words[3] = tmp_path / "other"
+    refused(run(*words, "--config", tmp_path / "own.yaml", *flags), "no average", "no last.ckpt")
 
 
 @pytest.mark.filterwarnings("ignore::Warning:lightning")
