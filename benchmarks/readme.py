@@ -27,6 +27,17 @@ def accuracy() -> str:
     )
 
 
+def procedural() -> str:
+    """The same of the procedural shapes that `python -m riemlayer.tables` makes."""
+    results = json.loads((RESULTS / "procedural" / "tables.json").read_text("utf-8"))["methods"]
+    return "\n\n".join(render.group_table(results, group) for group in render.ordered(results))
+
+
+def motions() -> str:
+    """The table that `benchmarks.motions` wrote."""
+    return (RESULTS / "motions.md").read_text("utf-8").strip()
+
+
 def speed() -> str:
     """The table that `benchmarks.speed` wrote."""
     return (RESULTS / "speed.md").read_text("utf-8").strip()
@@ -59,6 +70,8 @@ def card() -> str:
 
 BLOCKS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy,
+    "procedural": procedural,
+    "motions": motions,
     "speed": speed,
     "deploy": deploy,
     "card": card,
