@@ -42,8 +42,7 @@ NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
 """Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
 beyond which none again: no geodesic is shorter than its chord."""
 LEAN = 2.0
-"""Logit of the fan's share in Log until it is trained, of the bent chord's less: chords serve close
-to p alone."""
+"""Logit of the fan's share in Log until it is trained, and less of the bent chord's."""
 ON_SHELL = 2
 """Steps of a walk on a shell, in those of one over planes."""
 PIECE = 1 << 13
@@ -254,13 +253,7 @@ class LogHead(MapHead):
         return way, says.index_copy(0, rows, told)
 
     def bent(
-        self,
-        planes: LocalPlanes,
-        p: Tensor,
-        x: Tensor,
-        flat: Tensor,
-        shape: Tensor,
-        normal: Tensor,
+        self, planes: LocalPlanes, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor, normal: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Bent chords (S, K, 3), and what is told of them and of the planes at q (S, K, BENT)."""
         q, place = (p[:, None] + x).flatten(0, 1), shape + planes.fine.level.batch_size

@@ -5,7 +5,7 @@ import torch
 from references import encoded, fibonacci_sphere, lumpy, shaken
 
 from riemlayer import ExpLogField
-from riemlayer.config import FieldConfig, HeadConfig
+from riemlayer.config import SCALES, FieldConfig, HeadConfig
 from riemlayer.geometry.shell import HIGH as HIGHEST
 from riemlayer.heads import MapOutput
 from riemlayer.heads.branch import SITE, TRAINED, Gate, at_sources, read_narrow, sites
@@ -198,6 +198,20 @@ def test_near_queries_do_not_depend_on_who_else_is_asked():
     x[:, 8:] *= 30
     whole, part = answers(field, "log", x), answers(field, "log", x[:, :5])
     torch.testing.assert_close(part.vector, whole.vector[:, :5], rtol=0, atol=1e-12)
+
+
+def test_an_untrained_log_leans_to_what_its_fans_say():
+    """Of a flat chord, a way from shells, fans and a bent chord, told anything at all."""
+    torch.manual_seed(3)
+    gate = ExpLogField.from_preset("base").log_head.gate
+    assert gate is not None
+    site = torch.rand(4, SITE * SCALES + 1)
+    told = torch.randn(4, 50, gate.first.in_features - site.shape[1])
+    flat, fans, bent = (x.expand(4, 50, 3) for x in torch.eye(3))
+    with torch.no_grad():
+        prior, _ = gate([flat, torch.zeros_like(flat), fans, bent], [told], site)
+    of_flat, of_fans, of_bent = prior.mean((0, 1))
+    assert of_fans > 0.65 and of_flat < 0.25 and of_bent < 0.25
 
 
 def test_the_share_of_fans_changes_smoothly_with_the_chord():
