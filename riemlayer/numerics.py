@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+from torch.autograd.graph import saved_tensors_hooks
 from torch.nn import functional as F
+from torch.utils.checkpoint import checkpoint
+
+T = TypeVar("T")
 
 
 def safe_norm(x: Tensor) -> Tensor:
@@ -37,6 +43,27 @@ def product(first: Tensor, *others: Tensor) -> Tensor:
         for other in others:
             first = first @ other
     return first
+
+
+def recomputed(function: Callable[..., T], *args: object) -> T:
+    """function(*args), of which the graph is made anew by the backward pass instead of kept (ours).
+
+    Transforms of `torch.func` cannot do that: under them the graph is kept.
+
+    >>> x = torch.tensor([3.0], requires_grad=True)
+    >>> recomputed(torch.square, x).backward()
+    >>> x.grad
+    tensor([6.])
+    """
+    if not torch.is_grad_enabled():
+        return function(*args)
+    try:
+        with saved_tensors_hooks(lambda x: x, lambda x: x):
+            pass
+    except RuntimeError:
+        return function(*args)
+    found: Any = checkpoint(function, *args, use_reentrant=False, preserve_rng_state=False)
+    return found
 
 
 def segment_sum(x: Tensor, index: Tensor, size: int) -> Tensor:

@@ -8,6 +8,7 @@ from torch.autograd import gradcheck
 from riemlayer.numerics import (
     normalise,
     outer6,
+    recomputed,
     safe_norm,
     segment_max,
     segment_mean,
@@ -161,3 +162,24 @@ def test_eigen_gradcheck():
     m = covariances(4).requires_grad_()
     assert gradcheck(symmetric_eigenvalues, m)
     assert gradcheck(lambda m: outer6(smallest_eigenvector(m, symmetric_eigenvalues(m)[:, 0])), m)
+
+
+def test_what_is_recomputed_has_the_same_gradient_and_is_called_again_for_it():
+    calls = []
+
+    def cube(x, power):
+        calls.append(1)
+        return (x**power).sin()
+
+    x = torch.randn(5, dtype=torch.float64, requires_grad=True)
+    found = recomputed(cube, x, 3)
+    assert len(calls) == 1 and torch.equal(found, cube(x, 3))
+    (expected,) = torch.autograd.grad(cube(x, 3).sum(), x)
+    calls.clear()
+    (gradient,) = torch.autograd.grad(found.sum(), x)
+    assert len(calls) == 1 and torch.equal(gradient, expected)
+    assert torch.equal(
+        torch.func.grad(lambda x: recomputed(cube, x, 3).sum())(x.detach()), expected
+    )
+    with torch.no_grad():
+        assert torch.equal(recomputed(cube, x, 3), found)

@@ -35,7 +35,7 @@ from riemlayer.heads.branch import (
 )
 from riemlayer.heads.fans import JointFan
 from riemlayer.heads.tangent import TangentPlane
-from riemlayer.numerics import in_columns, outer6, safe_norm
+from riemlayer.numerics import in_columns, outer6, recomputed, safe_norm
 from riemlayer.octree import interpolate
 
 NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
@@ -224,7 +224,9 @@ class LogHead(MapHead):
         sources = [y[rows].repeat(len(place), 1) for y in (p, normal) if y is not None]
         pieces = (y.split(max(1, PIECE // rays)) for y in (place.flatten(), *sources))
         each = zip(*pieces, strict=True)
-        fans = [fan_of(ground, x, at, rays, self.radius, steps, *n) for at, x, *n in each]
+        fans = [
+            recomputed(fan_of, ground, x, at, rays, self.radius, steps, *n) for at, x, *n in each
+        ]
         fan = Fan(*(torch.cat(y) for y in zip(*fans, strict=True)))
         if self.joint is not None and site is not None:
             fan = self.joint(fan, site[rows])
