@@ -23,6 +23,7 @@ from benchmarks.speed import RESULTS
 from riemlayer import ExpLogField
 from riemlayer.data.augment import rotation
 from riemlayer.tables.evaluate import Shape
+from riemlayer.tables.render import markdown
 from riemlayer.tables.shapes import procedural_shapes
 
 SMALLER = 0.9
@@ -117,13 +118,14 @@ def averaged(rows: list[dict[str, list[float]]]) -> dict[str, list[float]]:
 
 def table(rows: dict[str, dict[str, list[float]]]) -> str:
     """As Markdown."""
-    lines = ["| the cloud is | within | " + " | ".join(COLUMNS) + " |"]
-    lines.append("|---|---" + "|--:" * len(COLUMNS) + "|")
-    for name, row in rows.items():
-        for radius, numbers in row.items():
-            cells = " | ".join(f"{x:.4f}" for x in numbers)
-            lines.append(f"| {name} | {radius} | {cells} |")
-    return "\n".join(lines)
+    return markdown(
+        ("the cloud is", "within", *COLUMNS),
+        [
+            (name, radius, *(f"{x:.4f}" for x in numbers))
+            for name, row in rows.items()
+            for radius, numbers in row.items()
+        ],
+    )
 
 
 if __name__ == "__main__":

@@ -82,7 +82,8 @@ def pretrain(
     if missing := [path.name for path in (weights, checkpoint) if not path.exists()]:
         raise UserError(
             f"{out}: the run ended and kept no {' and no '.join(missing)}; a --config needs the "
-            "callbacks ExponentialAverage and SoundCheckpoint of the packaged one"
+            "callbacks ExponentialAverage and SoundCheckpoint of the packaged one, and nothing is "
+            "kept while the loss is far above its median"
         )
     facts = {"out": str(out), "weights": str(weights), "checkpoint": str(checkpoint)}
     return Answer(facts | {"resumed": resumed}, f"{weights}: weights; {checkpoint}: checkpoint")
