@@ -12,7 +12,7 @@ from torch import Tensor
 
 from riemlayer import checks
 from riemlayer.calculus import Calculus
-from riemlayer.heads import Embedding, MapOutput
+from riemlayer.heads import Embedding, MapOutput, tangent_normals
 from riemlayer.octree import HALF_WIDTH, corners
 from riemlayer.queries import in_chunks, lay_out, value_and_jacobian
 
@@ -211,9 +211,10 @@ class EncodedSurface(Calculus):
         return value_and_jacobian(lambda x: self.decode_log(p, x, shape, CHUNK)[0], q)
 
     def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
-        """Unit normals (..., 3) of the cloud's blended planes; their sign has no meaning (ours)."""
+        """Unit normals (..., 3) of the tangent planes of `log`; their sign has no meaning (ours)."""
         x, index, batch = self._in_cube(p, shape)
-        return self.embedding.planes.normal(x, index).view(*batch, 3)
+        plane = self.field.log_head.tangent_plane
+        return tangent_normals(plane, self.embedding, x, index).view(*batch, 3)
 
     def snap(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
         """Points (..., 3) dropped onto the cloud's blended planes, in three rounds (ours).

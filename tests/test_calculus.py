@@ -219,7 +219,7 @@ def test_normals_and_snapping_of_a_cloud_in_its_own_units(encoded):
     for shape, (centre, radius) in enumerate(((0.0, 1.0), (5.0, 3.0))):
         surface, q = encoded[shape], centre + 1.04 * radius * directions
         normal = surface.normal(q)
-        assert float((normal * directions).sum(-1).abs().min()) > 0.97
+        assert (normal * directions).sum(-1).abs().min() > 0.97
         snapped = surface.snap(q)
         off = (snapped - centre).norm(dim=-1) - radius
         assert float(off.abs().max()) < 0.015 * radius

@@ -3,6 +3,7 @@
 from riemlayer.heads.branch import Embedding, MapOutput
 from riemlayer.heads.maps import ExpHead, LogHead
 from riemlayer.heads.siren import SirenDecoder
+from riemlayer.heads.tangent import tangent_normals
 from riemlayer.heads.triplane import TriplaneDecoder, TriplaneHypernetwork, sample_triplane
 
 __all__ = [
@@ -14,4 +15,5 @@ __all__ = [
     "TriplaneDecoder",
     "TriplaneHypernetwork",
     "sample_triplane",
+    "tangent_normals",
 ]

@@ -8,11 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from riemlayer.geometry.points import REACHES, SAYS
-from riemlayer.heads.branch import SITE, Embedding
+from riemlayer.heads.branch import SITE, Embedding, at_sources, sites
 from riemlayer.numerics import normalise, product
 
 FIRST = 3.0
 """Logit of the shares of the first planes and of the neighbourhood of most points, untrained."""
+PIECE = 1 << 14
+"""Points whose neighbourhoods are in memory at once: some hundred points each."""
 
 
 class TangentPlane(nn.Module):
@@ -65,3 +67,16 @@ class TangentPlane(nn.Module):
             share = enough * self.shares(told).softmax(-1)
         side = torch.where(cosines[:, 0] < 0, -torch.ones_like(share), torch.ones_like(share))
         return normalise(((share * side)[..., None] * normals).sum(1))
+
+
+def tangent_normals(
+    plane: TangentPlane | None, field: Embedding, p: Tensor, shape: Tensor
+) -> Tensor:
+    """Unit normals (Q, 3) at points (Q, 3) of the cube; of the blended planes without a `plane`."""
+    if plane is None:
+        return field.planes.normal(p, shape)
+    normals = []
+    for at, of in zip(p.split(PIECE), shape.split(PIECE), strict=True):
+        seen = at_sources(field.planes, at, of)
+        normals.append(plane(field, at, of, sites(field, at, of, seen), seen))
+    return torch.cat(normals)
