@@ -211,7 +211,7 @@ class EncodedSurface(Calculus):
         return value_and_jacobian(lambda x: self.decode_log(p, x, shape, CHUNK)[0], q)
 
     def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
-        """Unit normals (..., 3) of the tangent planes of `log`; their sign has no meaning (ours)."""
+        """Unit normals (..., 3) of the tangent planes of `log`, of no certain sign (ours)."""
         x, index, batch = self._in_cube(p, shape)
         plane = self.field.log_head.tangent_plane
         return tangent_normals(plane, self.embedding, x, index).view(*batch, 3)

@@ -117,7 +117,7 @@ class TiledSurface(Calculus):
         return self.tiles.decode_log(p, q, self.tile(p))
 
     def normal(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:
-        """Unit normals (..., 3) of the tangent planes of `log`; their sign has no meaning (ours)."""
+        """Unit normals (..., 3) of the tangent planes of `log`, of no certain sign (ours)."""
         return self.tiles.normal(p, shape=self.tile(p))
 
     def snap(self, p: Tensor, *, shape: Tensor | None = None) -> Tensor:

@@ -87,3 +87,24 @@ def test_it_has_gradients_in_its_weights_and_in_the_points():
     weights = list(plane.parameters())
     found = torch.autograd.grad(normal.square().sum(0)[0], [cloud, *weights])
     assert all(g.isfinite().all() and g.abs().max() > 0 for g in found)
+
+
+@torch.no_grad()
+def test_frames_of_a_surface_span_the_plane_that_logs_lie_in():
+    """On a face of a cube, one point and one and a half away from its edge, where the cloud's
+    blended planes lean towards the next face."""
+    side = torch.linspace(-1, 1, 41)
+    flat = torch.cartesian_prod(side, side)
+    square = torch.cat((flat, torch.ones_like(flat[:, :1])), 1)
+    faces = [square.roll(i, 1) * (1 if i < 3 else -1) for i in range(6)]
+    surface = ExpLogField.from_pretrained("base").encode(torch.cat(faces).unique(dim=0))
+    along = torch.linspace(-0.8, 0.8, 17)
+    for away in (0.05, 0.075):
+        p = torch.stack((along, torch.full_like(along, 1 - away), torch.ones_like(along)), -1)
+        tilt = surface.normal(p)[:, :2].norm(dim=-1).mean()
+        blended = surface.embedding.planes.normal(p, torch.zeros(len(p), dtype=torch.long))
+        assert tilt < 0.02 < blended[:, :2].norm(dim=-1).mean()
+        q = p[:, None] + 0.3 * torch.tensor([[1.0, 0, 0], [0, -1, 0], [0.7, -0.7, 0]])
+        log = surface.log(p[:, None], q)
+        flattened = surface.to_2d(p[:, None], log)
+        torch.testing.assert_close(flattened.norm(dim=-1), log.norm(dim=-1), atol=1e-4, rtol=0)
