@@ -13,7 +13,7 @@ from riemlayer.geometry.frames import frame_of
 from riemlayer.geometry.planes import LocalPlanes
 from riemlayer.geometry.shell import Shell
 from riemlayer.geometry.walk import MET, Walked, advance
-from riemlayer.numerics import normalise, outer6
+from riemlayer.numerics import normalise, outer6, product
 
 LENGTHS = 16
 """Points kept along each geodesic of a fan."""
@@ -36,25 +36,30 @@ WALKED = 1 + MET
 class Fan(NamedTuple):
     """F points on geodesics from each of S sources, and the affine log map around each point."""
 
+    takes: Tensor
+    """(S, F, 1) what a query's share of each point depends on but for the query; with `key` a
+    polynomial, by its factors of 1,"""
     key: Tensor
-    """(S, F, 10) what a query's share of each point depends on: a polynomial, by its factors of the
-    query's coordinates (3), of 1, and of the coordinates' products (6)."""
+    """(S, F, 9) of the query's coordinates (3), and of their products (6)."""
     values: Tensor
-    """(S, F, 22 + MET): matrix A and offset b of log(x) = A x + b (9 + 3), |v|, products of
-    the normal (6), the point again, and what the walk there met, a step."""
+    """(S, F, 18 + MET): matrix A (2 x 3) and offset b (2) of log(x) = A x + b in `axes`, products
+    of the normal (6), the point again (3), |v|, and what the walk there met, a step."""
+    axes: Tensor
+    """(S, 3, 2) of the tangent planes at the sources, as columns."""
 
     @property
     def walked(self) -> Tensor:
         """(S, F, WALKED) how each point was reached."""
-        return torch.cat((self.values[..., 12:13], self.values[..., -MET:]), -1)
+        return self.values[..., -WALKED:]
 
     def counting(self, count: Tensor) -> Fan:
         """The same points, of which each counts exp(count) times as much (S, F, 1)."""
-        return self._replace(key=self.key + WIDTH**2 * F.pad(count, (3, 6)))
+        return self._replace(takes=self.takes + WIDTH**2 * count)
 
     def joined(self, fans: int) -> Fan:
-        """(S, fans F, ...) of `fans` fans at each source, those of all sources in turn."""
-        return Fan(*(y.unflatten(0, (fans, -1)).transpose(0, 1).flatten(1, 2) for y in self))
+        """(S / fans, fans F, ...) of `fans` fans in turn at each source, in one tangent plane."""
+        *parts, axes = self
+        return Fan(*(y.unflatten(0, (-1, fans)).flatten(1, 2) for y in parts), axes[::fans])
 
 
 class FanLog(NamedTuple):
@@ -94,17 +99,19 @@ def fan_of(
         rays: number of geodesics.
         radius: trained radius; they are `REACH` times as long.
         steps: of their walks, at least; as many from each point that is kept to the next.
-        tangent: (S, 3) unit normals, of any sign, of the tangent planes that they leave along and
-            that logs lie in, as those of `walk` along tangent vectors; by default of the planes.
+        tangent: (S, 3) unit normals of the tangent planes that they leave along and that logs lie
+            in, as those of `walk` along tangent vectors; by default of the planes.
     """
     n, height = planes.plane(p, place)
-    normal = n if tangent is None else torch.where(_along(n, tangent) < 0, -tangent, tangent)
+    normal = n if tangent is None else tangent
+    side = torch.where(_along(n, normal) < 0, -torch.ones_like(height), torch.ones_like(height))
+    axes = frame_of(normal)[..., :2]
     angle = torch.arange(rays, dtype=p.dtype, device=p.device) * (2 * math.pi / rays)
-    e1, e2, _ = frame_of(normal)[:, None].unbind(-1)
-    along = angle.cos()[:, None] * e1 + angle.sin()[:, None] * e2  # (S, rays, 3)
-    across = torch.linalg.cross(normal[:, None].expand_as(along), along)
-    start, n, height, place = (y.repeat_interleave(rays, 0) for y in (p, n, height, place))
-    v = along.flatten(0, 1)
+    turn = torch.stack((angle.cos(), angle.sin()), -1)
+    v = product(turn, axes.mT).flatten(0, 1)  # (S rays, 3)
+    start, n, height, place = (
+        y.repeat_interleave(rays, 0) for y in (p, side * n, side * height, place)
+    )
     n = normalise(n - _along(n, v) * v)
     at, site = Walked.starting(start, v, n), planes.site(place)
     each = math.ceil(steps / LENGTHS)
@@ -114,21 +121,19 @@ def fan_of(
         at, turned = advance(planes, at, site, stride)
         length = length + stride + height * turned
         if i % each == 0:
-            lifted = at.point + height * at.normal
+            lifted = at.point + height * at.normal - start
             parts.append(torch.cat((lifted, at.vector, at.normal, length, at.met / i), -1))
     parts = torch.stack(parts, 1).unflatten(0, (len(p), rays))  # (S, rays, LENGTHS, ...)
     x, carried, n, length, met = parts.split((3, 3, 3, 1, MET), -1)
-    x = x - p[:, None, None]
-    side = torch.linalg.cross(n, carried)
-    back = along[:, :, None, :, None] * carried[..., None, :]
-    back = back + across[:, :, None, :, None] * side[..., None, :]  # (S, rays, LENGTHS, 3, 3)
-    offset = length * along[:, :, None] - (back * x[..., None, :]).sum(-1)
+    across = torch.linalg.cross(n, carried)
+    cosine, sine = turn[:, None].split(1, -1)
+    first, second = cosine * carried - sine * across, sine * carried + cosine * across
+    offset = length * turn[:, None] - torch.cat((_along(first, x), _along(second, x)), -1)
     through, up = outer6(n), _along(n, x)
-    square = x.square().sum(-1, keepdim=True) + ABOVE * up.square()
-    takes = -0.5 * (square + SHORTER * length.square())
-    key = torch.cat((x + ABOVE * up * n, takes, -0.5 * ABOVE * through), -1)
-    values = torch.cat((back.flatten(-2), offset, length, through, x, met), -1)
-    return Fan(key.flatten(1, 2), values.flatten(1, 2))
+    takes = -0.5 * (_along(x, x) + ABOVE * up.square() + SHORTER * length.square())
+    key = torch.cat((x + ABOVE * up * n, -0.5 * ABOVE * through), -1)
+    values = torch.cat((first, second, offset, through, x, length, met), -1)
+    return Fan(*(y.flatten(1, 2) for y in (takes, key, values)), axes)
 
 
 def log_on_fan(fan: Fan, x: Tensor) -> FanLog:
@@ -138,12 +143,12 @@ def log_on_fan(fan: Fan, x: Tensor) -> FanLog:
     attention of the queries to the fan's points, in full precision always.
     """
     products = outer6(x) * x.new_tensor([1.0, 1, 1, 2, 2, 2])
-    query = torch.cat((x, torch.ones_like(x[..., :1]), products), -1) / WIDTH**2
+    query = torch.cat((torch.ones_like(x[..., :1]), x, products), -1) / WIDTH**2
     with torch.autocast(x.device.type, enabled=False):
-        read = attention(query, fan.key, fan.values)
-    back, offset, length, normal, point, met = read.split((9, 3, 1, 6, 3, MET), -1)
-    vector = (back.unflatten(-1, (3, 3)) * x[..., None, :]).sum(-1) + offset
-    return FanLog(vector, length, normal, x - point, met)
+        read = attention(query, torch.cat((fan.takes, fan.key), -1), fan.values)
+    matrix, offset, normal, point, length, met = read.split((6, 2, 6, 3, 1, MET), -1)
+    log = (matrix.unflatten(-1, (2, 3)) * x[..., None, :]).sum(-1) + offset
+    return FanLog(product(log, fan.axes.mT), length, normal, x - point, met)
 
 
 def attention(query: Tensor, key: Tensor, values: Tensor) -> Tensor:

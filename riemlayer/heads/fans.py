@@ -7,6 +7,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from riemlayer.geometry import WALKED, Fan
+from riemlayer.heads.branch import TRAINED
+from riemlayer.numerics import safe_norm
+
+NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
+"""Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
+beyond which none again: no geodesic is shorter than its chord."""
 
 
 class JointFan(nn.Module):
@@ -22,7 +28,7 @@ class JointFan(nn.Module):
         fans: number of fans at each source.
         site: channels of what the planes say there.
 
-    Shapes: fans (fans S, F, ...), those of the first scale first, site (S, ...) -> (S, fans F, ...)
+    Shapes: fans (S fans, F, ...), those of a source in turn, site (S, ...) -> (S, fans F, ...)
     """
 
     def __init__(self, fans: int, site: int, hidden: int = 16) -> None:
@@ -36,7 +42,14 @@ class JointFan(nn.Module):
 
     def forward(self, fan: Fan, site: Tensor) -> Fan:
         with torch.autocast(site.device.type, enabled=False):
-            at_source = self.at_source(site).unflatten(-1, (self.fans, -1)).transpose(0, 1)
-            at_point = self.at_point(fan.walked).unflatten(0, (self.fans, -1))
-            count = self.count(F.gelu(at_source[:, :, None] + at_point)).flatten(0, 1)
+            at_source = self.at_source(site).view(len(fan.values), 1, -1)
+            count = self.count(F.gelu(at_source + self.at_point(fan.walked)))
         return fan.counting(count).joined(self.fans)
+
+
+def fan_share(x: Tensor) -> Tensor:
+    """Share (..., 1) that fans have in Log at chords (..., 3) in radii, without a kink."""
+    length = safe_norm(x)
+    near = ((length - NEAR) / (MIDDLE - NEAR)).clamp(0, 1)
+    far = ((BEYOND - length) / (BEYOND - TRAINED)).clamp(0, 1)
+    return near.square() * (3 - 2 * near) * far.square() * (3 - 2 * far)

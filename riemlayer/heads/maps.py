@@ -10,7 +10,7 @@ from torch import Tensor
 from riemlayer.config import SCALES, WALKS, HeadConfig
 from riemlayer.geometry import (
     MET,
-    Fan,
+    FanLog,
     LocalPlanes,
     Shell,
     Walked,
@@ -23,7 +23,6 @@ from riemlayer.geometry import (
 )
 from riemlayer.heads.branch import (
     SITE,
-    TRAINED,
     Embedding,
     Gate,
     MapHead,
@@ -33,14 +32,11 @@ from riemlayer.heads.branch import (
     read_narrow,
     sites,
 )
-from riemlayer.heads.fans import JointFan
+from riemlayer.heads.fans import JointFan, fan_share
 from riemlayer.heads.tangent import TangentPlane
 from riemlayer.numerics import in_columns, outer6, recomputed, safe_norm
 from riemlayer.octree import interpolate
 
-NEAR, MIDDLE, BEYOND = 0.2, 0.3, 1.3
-"""Chords, in radii, up to which fans have no share in Log, from which they have a full one, and
-beyond which none again: no geodesic is shorter than its chord."""
 LEAN = 2.0
 """Logit of the fan's share in Log until it is trained, and less of the bent chord's."""
 ON_SHELL = 2
@@ -207,37 +203,51 @@ class LogHead(MapHead):
         x: Tensor,
         flat: Tensor,
         share: Tensor,
-        normal: Tensor | None = None,
-        site: Tensor | None = None,
+        *seen: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Logs on fans over planes or shells (S, K, 3), and what is told of them (S, K, FAN).
 
-        The fans at each source, one a `place` (fans S,), answer as one by its `site`. Only sources
-        and queries in which they have a share are looked at; others stay `flat`.
+        At each source there is a fan for every `place` (fans S,). Only sources and queries in which
+        they have a share are looked at; others stay `flat`. `seen` is the tangent plane's normal
+        and the site, which `read_fans` may be told.
         """
         asked = share.detach().squeeze(-1) > 0
         rows, columns = (asked.any(i).nonzero().squeeze(-1) for i in (1, 0))
         known = x.new_zeros(*x.shape[:2], FAN)
         if not len(rows):
             return flat, known
-        rays, place = self.config.fan_rays, place.view(-1, len(p))[:, rows]
-        sources = [y[rows].repeat(len(place), 1) for y in (p, normal) if y is not None]
-        pieces = (y.split(max(1, PIECE // rays)) for y in (place.flatten(), *sources))
-        each = zip(*pieces, strict=True)
-        fans = [
-            recomputed(fan_of, ground, x, at, rays, self.radius, steps, *n) for at, x, *n in each
-        ]
-        fan = Fan(*(torch.cat(y) for y in zip(*fans, strict=True)))
-        if self.joint is not None and site is not None:
-            fan = self.joint(fan, site[rows])
         part = rows[:, None], columns
         chords, share, start = x[part], share[part], flat[part]
-        read = log_on_fan(fan, chords)
+        place = place.view(-1, len(p)).T
+        size = max(1, PIECE // (place.shape[1] * self.config.fan_rays))
+        sources = (y[rows].split(size) for y in (place, p, *seen))
+        each = zip(chords.split(size), *sources, strict=True)
+        reads = [self.read_fans(ground, steps, *piece) for piece in each]
+        read = FanLog(*(torch.cat(y) for y in zip(*reads, strict=True)))
         away = share * (read.vector - start)
         longer = read.length - safe_norm(read.vector)
         told = torch.cat((longer / self.radius, read.normal, read.gap / self.radius, read.met), -1)
         told = torch.cat((away / self.radius, share * told), -1)
         return flat.index_put(part, start + away), known.index_put(part, told)
+
+    def read_fans(
+        self,
+        ground: LocalPlanes | Shell,
+        steps: int,
+        x: Tensor,
+        place: Tensor,
+        p: Tensor,
+        normal: Tensor | None = None,
+        site: Tensor | None = None,
+    ) -> FanLog:
+        """Logs of chords (S, K, 3) on the fans of places (S, fans), which are one by the `site`."""
+        at = (y.repeat_interleave(place.shape[1], 0) for y in (p, normal) if y is not None)
+        p, *tangent = at
+        rays = self.config.fan_rays
+        fan = recomputed(fan_of, ground, p, place.flatten(), rays, self.radius, steps, *tangent)
+        if self.joint is not None and site is not None:
+            fan = self.joint(fan, site)
+        return log_on_fan(fan, x)
 
     def on_shells(
         self, field: Embedding, p: Tensor, x: Tensor, flat: Tensor, shape: Tensor, share: Tensor
@@ -287,11 +297,3 @@ def _walked(
     end = Walked(*(torch.cat(y) for y in zip(*ends, strict=True)))
     end = end._replace(met=end.met / steps)
     return Walked(*(y.unflatten(0, v.shape[:2]) for y in end))
-
-
-def fan_share(x: Tensor) -> Tensor:
-    """Share (..., 1) that fans have in Log at chords (..., 3) in radii, without a kink."""
-    length = safe_norm(x)
-    near = ((length - NEAR) / (MIDDLE - NEAR)).clamp(0, 1)
-    far = ((BEYOND - length) / (BEYOND - TRAINED)).clamp(0, 1)
-    return near.square() * (3 - 2 * near) * far.square() * (3 - 2 * far)

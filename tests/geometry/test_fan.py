@@ -17,6 +17,11 @@ def fan_at(planes: LocalPlanes, p: Tensor, rays: int = 48, tangent: Tensor | Non
     return fan_of(planes, p, shape, rays, RADIUS, tangent=tangent)
 
 
+def points_of(fan: Fan) -> Tensor:
+    """(S, F, 3) as seen from the sources."""
+    return fan.values[..., 14:17]
+
+
 def test_on_a_plane_a_chord_is_its_own_log():
     points = torch.rand(20_000, 3).double() - 0.5
     turned = torch.linalg.qr(torch.randn(3, 3).double())[0]
@@ -49,9 +54,10 @@ def test_a_tangent_plane_has_no_side():
     planes, p = planes_of(points), points[::100]
     normal = planes.normal(p, torch.zeros(len(p), dtype=torch.long))
     flipped = torch.where(torch.arange(len(p))[:, None] % 2 == 0, normal, -normal)
-    own = fan_at(planes, p)
-    for fan in (fan_at(planes, p, tangent=normal), fan_at(planes, p, tangent=flipped)):
-        torch.testing.assert_close(fan, own)
+    x = 0.3 * torch.randn(len(p), 7, 3, dtype=p.dtype)
+    own = log_on_fan(fan_at(planes, p), x)
+    for tangent in (normal, flipped):
+        torch.testing.assert_close(log_on_fan(fan_at(planes, p, tangent=tangent), x), own)
 
 
 def test_logs_lie_in_the_tangent_plane_that_is_given():
@@ -73,14 +79,14 @@ def test_points_of_a_fan_lie_on_the_surface_at_their_distance():
     sphere = Sphere()
     p = fibonacci_sphere(30_000)[::1000]
     fan = fan_at(planes_of(fibonacci_sphere(30_000)), p)
-    q = p[:, None] + fan.values[..., 19:22]
+    q = p[:, None] + points_of(fan)
     assert float((q.norm(dim=-1) - 1).abs().max()) < 2e-3
     length = REACH * RADIUS * torch.arange(1, LENGTHS + 1, dtype=p.dtype) / LENGTHS
-    walked = fan.values[..., 12].view(len(p), 48, LENGTHS)
+    walked = fan.walked[..., 0].view(len(p), 48, LENGTHS)
     torch.testing.assert_close(walked, length.expand_as(walked), rtol=1e-3, atol=0)
     exact = sphere.log(p[:, None], q).norm(dim=-1)
     torch.testing.assert_close(exact, walked.flatten(1), rtol=0.02, atol=0)
-    back = fan.values[..., :9].unflatten(-1, (3, 3))
+    back = fan.axes[:, None] @ fan.values[..., :6].unflatten(-1, (2, 3))
     normal = torch.einsum("sfij,si->sfj", back, p)
     assert float(normal.abs().max()) < 0.02  # of the planes
     spread = torch.linalg.svdvals(back)
@@ -91,22 +97,23 @@ def test_reading_is_a_softmax_of_affine_maps():
     points = lumpy(2000)
     fan = fan_at(planes_of(points), points[:2], rays=5)
     x = 0.3 * torch.randn(2, 3, 3, dtype=points.dtype)
-    read = log_on_fan(fan, x)
+    read, lengths = log_on_fan(fan, x), fan.walked[..., 0]
     for s in range(2):
         for k in range(3):
             shares, logs = [], []
-            for value in fan.values[s]:
-                away, (xx, yy, zz, xy, xz, yz) = x[s, k] - value[19:22], value[13:19]
+            for value, point, length in zip(
+                fan.values[s], points_of(fan)[s], lengths[s], strict=True
+            ):
+                away, (xx, yy, zz, xy, xz, yz) = x[s, k] - point, value[8:14]
                 through = torch.stack((xx, xy, xz, xy, yy, yz, xz, yz, zz)).view(3, 3)
-                cost = away @ away + ABOVE * away @ through @ away + SHORTER * value[12] ** 2
+                cost = away @ away + ABOVE * away @ through @ away + SHORTER * length**2
                 shares.append(-cost / (2 * WIDTH**2))
-                logs.append(value[:9].view(3, 3) @ x[s, k] + value[9:12])
+                logs.append(fan.axes[s] @ (value[:6].view(2, 3) @ x[s, k] + value[6:8]))
             share = torch.stack(shares).softmax(0)
             log = (share[:, None] * torch.stack(logs)).sum(0)
             torch.testing.assert_close(read.vector[s, k], log, rtol=0, atol=1e-9)
-            length = (share * fan.values[s, :, 12]).sum()
-            torch.testing.assert_close(read.length[s, k, 0], length, rtol=0, atol=1e-9)
-            gap = x[s, k] - (share[:, None] * fan.values[s, :, 19:22]).sum(0)
+            torch.testing.assert_close(read.length[s, k, 0], share @ lengths[s], rtol=0, atol=1e-9)
+            gap = x[s, k] - share @ points_of(fan)[s]
             torch.testing.assert_close(read.gap[s, k], gap, rtol=0, atol=1e-9)
 
 

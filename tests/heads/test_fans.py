@@ -1,24 +1,37 @@
 """Fans of several scales that answer as one: a softmax over the points of all of them."""
 
+from collections.abc import Sequence
+
 import pytest
 import torch
 from references import lumpy, planes_of
 from torch import Tensor
 
 from riemlayer import ExpLogField
-from riemlayer.geometry import Fan, fan_of, log_on_fan
+from riemlayer.geometry import Fan, LocalPlanes, fan_of, log_on_fan
 from riemlayer.heads.fans import JointFan
 
 FANS, SOURCES, RAYS, SITE = 3, 4, 6, 5
 
 
+def fans_of(planes: Sequence[LocalPlanes], p: Tensor, normal: Tensor) -> Fan:
+    """One fan over each of the planes at every source, those of a source in turn."""
+    place = torch.zeros(1, dtype=torch.long)
+    every = [
+        fan_of(on, at[None], place, RAYS, 0.5, tangent=n[None])
+        for at, n in zip(p, normal, strict=True)
+        for on in planes
+    ]
+    return Fan(*(torch.cat(y) for y in zip(*every, strict=True)))
+
+
 @pytest.fixture
 def fan() -> Fan:
-    """Fans of three scales at four sources, those of the first scale first."""
+    """Fans over planes of three depths at four sources."""
     points = lumpy(2000)
+    planes = [planes_of(points, depth) for depth in (3, 4, 5)]
     p, place = points[:SOURCES], torch.zeros(SOURCES, dtype=torch.long)
-    fans = [fan_of(planes_of(points, depth), p, place, RAYS, 0.5) for depth in (3, 4, 5)]
-    return Fan(*(torch.cat(y) for y in zip(*fans, strict=True)))
+    return fans_of(planes, p, planes[1].normal(p, place))
 
 
 @pytest.fixture
@@ -34,17 +47,23 @@ def shaken_joint() -> JointFan:
     return joint
 
 
-def own(fan: Fan, s: int) -> list[Fan]:
-    """The fans of one source, of each scale."""
-    return [Fan(*(y[i * SOURCES + s : i * SOURCES + s + 1] for y in fan)) for i in range(FANS)]
+def own(fan: Fan, s: int) -> Fan:
+    """The fans of one source."""
+    return Fan(*(y[FANS * s : FANS * (s + 1)] for y in fan))
+
+
+def side_by_side(fan: Fan) -> Fan:
+    """The points of all fans as those of one."""
+    *parts, axes = fan
+    return Fan(*(torch.cat(tuple(y))[None] for y in parts), axes[:1])
 
 
 def test_untrained_all_points_count_alike(fan, x):
     site = torch.randn(SOURCES, SITE, dtype=torch.float64)
     read = log_on_fan(JointFan(FANS, SITE).double()(fan, site), x)
     for s in range(SOURCES):
-        every = Fan(*(torch.cat(y, 1) for y in zip(*own(fan, s), strict=True)))
-        for a, b in zip(read, log_on_fan(every, x[s : s + 1]), strict=True):
+        every = log_on_fan(side_by_side(own(fan, s)), x[s : s + 1])
+        for a, b in zip(read, every, strict=True):
             torch.testing.assert_close(a[s : s + 1], b, rtol=0, atol=1e-9)
 
 
@@ -52,11 +71,12 @@ def test_a_point_counts_as_often_as_it_is_told(fan, x):
     """Twice is as if it were there twice; next to nothing, as if it were not there."""
     one = Fan(*(y[:1] for y in fan))
     some = torch.arange(one.key.shape[1]) % 3 == 0
-    twice = Fan(*(torch.cat((y, y[:, some]), 1) for y in one))
+    *parts, axes = one
+    twice = Fan(*(torch.cat((y, y[:, some]), 1) for y in parts), axes)
     counts = torch.where(some, torch.tensor(2.0).double().log(), 0.0)[None, :, None]
     for a, b in zip(log_on_fan(one.counting(counts), x[:1]), log_on_fan(twice, x[:1]), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=1e-9)
-    rest = Fan(*(y[:, ~some] for y in one))
+    rest = Fan(*(y[:, ~some] for y in parts), axes)
     gone = torch.where(some, -1e4, 0.0)[None, :, None].double()
     for a, b in zip(log_on_fan(one.counting(gone), x[:1]), log_on_fan(rest, x[:1]), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=1e-9)
@@ -66,8 +86,7 @@ def test_sources_do_not_see_each_other(fan, x):
     joint, site = shaken_joint(), torch.randn(SOURCES, SITE, dtype=torch.float64)
     whole = log_on_fan(joint(fan, site), x)
     for s in range(SOURCES):
-        alone = Fan(*(torch.cat(y) for y in zip(*own(fan, s), strict=True)))
-        part = log_on_fan(joint(alone, site[s : s + 1]), x[s : s + 1])
+        part = log_on_fan(joint(own(fan, s), site[s : s + 1]), x[s : s + 1])
         for a, b in zip(whole, part, strict=True):
             torch.testing.assert_close(a[s : s + 1], b, rtol=0, atol=1e-9)
 
@@ -101,6 +120,8 @@ def test_log_reads_the_fans_of_every_scale_at_each_source():
     site = torch.zeros(3, head.joint.at_source.in_features)
     places = embedding.planes.places(place, 3)
     log, _ = head.on_fan(embedding.planes, places, 16, p, x, x, share, normal, site)
-    fans = [fan_of(embedding.planes, p, at, 48, 0.5, 16, normal) for at in places.chunk(3)]
-    every = Fan(*(torch.cat(y, 1) for y in zip(*fans, strict=True)))
-    torch.testing.assert_close(log, log_on_fan(every, x).vector, rtol=0, atol=1e-5)
+    for i in range(3):
+        at = places[i::3]
+        fan = fan_of(embedding.planes, p[i].expand(3, 3), at, 48, 0.5, 16, normal[i].expand(3, 3))
+        own = log_on_fan(side_by_side(fan), x[i : i + 1]).vector
+        torch.testing.assert_close(log[i : i + 1], own, rtol=0, atol=1e-5)

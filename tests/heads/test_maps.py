@@ -9,7 +9,7 @@ from riemlayer.config import SCALES, FieldConfig, HeadConfig
 from riemlayer.geometry.shell import HIGH as HIGHEST
 from riemlayer.heads import MapOutput
 from riemlayer.heads.branch import SITE, TRAINED, Gate, at_sources, read_narrow, sites
-from riemlayer.heads.maps import BEYOND, MIDDLE, NEAR, fan_share
+from riemlayer.heads.fans import BEYOND, MIDDLE, NEAR, fan_share
 
 HEADS = {
     "walked": HeadConfig(resolution=8, channels=4, hidden=32, narrow=8, walks=1, walk_steps=4),
