@@ -37,6 +37,16 @@ def normalise(x: Tensor) -> Tensor:
     return x / x.square().sum(-1, keepdim=True).clamp_min(1e-24).sqrt()
 
 
+def dot(a: Tensor, b: Tensor, dim: int = -1) -> Tensor:
+    """Inner products along a dimension of three: of columns faster than a product and its sum.
+
+    >>> dot(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([4.0, 5.0, 6.0]))
+    tensor(32.)
+    """
+    (x, y, z), (u, v, w) = a.unbind(dim), b.unbind(dim)
+    return torch.addcmul(torch.addcmul(x * u, y, v), z, w)
+
+
 def product(first: Tensor, *others: Tensor) -> Tensor:
     """Matrix product of all, in their own precision: halves of autocast are for networks (ours)."""
     with torch.autocast(first.device.type, enabled=False):

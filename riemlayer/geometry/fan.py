@@ -37,10 +37,9 @@ class Fan(NamedTuple):
     """F points on geodesics from each of S sources, and the affine log map around each point."""
 
     takes: Tensor
-    """(S, F, 1) what a query's share of each point depends on but for the query; with `key` a
-    polynomial, by its factors of 1,"""
+    """(S, F, 1) constant of the polynomial in a query's coordinates that tells a point's share."""
     key: Tensor
-    """(S, F, 9) of the query's coordinates (3), and of their products (6)."""
+    """(S, F, 9) its factors of the coordinates (3), and of their products (6)."""
     values: Tensor
     """(S, F, 18 + MET): matrix A (2 x 3) and offset b (2) of log(x) = A x + b in `axes`, products
     of the normal (6), the point again (3), |v|, and what the walk there met, a step."""
@@ -57,9 +56,10 @@ class Fan(NamedTuple):
         return self._replace(takes=self.takes + WIDTH**2 * count)
 
     def joined(self, fans: int) -> Fan:
-        """(S / fans, fans F, ...) of `fans` fans in turn at each source, in one tangent plane."""
-        *parts, axes = self
-        return Fan(*(y.unflatten(0, (-1, fans)).flatten(1, 2) for y in parts), axes[::fans])
+        """(S / fans, fans F, ...) of `fans` fans, one after the other, at each source; they share a
+        tangent plane."""
+        takes, key, values = (y.unflatten(0, (-1, fans)).flatten(1, 2) for y in self[:3])
+        return Fan(takes, key, values, self.axes[::fans])
 
 
 class FanLog(NamedTuple):
@@ -133,7 +133,7 @@ def fan_of(
     takes = -0.5 * (_along(x, x) + ABOVE * up.square() + SHORTER * length.square())
     key = torch.cat((x + ABOVE * up * n, -0.5 * ABOVE * through), -1)
     values = torch.cat((first, second, offset, through, x, length, met), -1)
-    return Fan(*(y.flatten(1, 2) for y in (takes, key, values)), axes)
+    return Fan(takes.flatten(1, 2), key.flatten(1, 2), values.flatten(1, 2), axes)
 
 
 def log_on_fan(fan: Fan, x: Tensor) -> FanLog:

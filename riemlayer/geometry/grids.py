@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from riemlayer.geometry.moments import NEGLIGIBLE, NEIGHBOURHOOD
 from riemlayer.geometry.rims import may_end
 from riemlayer.geometry.site import Place, Site, place_of
-from riemlayer.numerics import segment_sum
+from riemlayer.numerics import dot, segment_sum
 from riemlayer.octree import HALF_WIDTH, Level, corners
 from riemlayer.octree.build import DENSE_LIMIT, OCTANTS
 from riemlayer.octree.interpolate import trilinear
@@ -258,14 +258,13 @@ class Grids(NamedTuple):
         near = self.plane.index_select(1, node.flatten()).view(6, *node.shape)
         centroid, normal = near.split(3)  # (3, G, 8, Q)
         offset = x[:, None, None] - centroid
-        exponent = offset.square().sum(0) * sharpness
+        exponent = dot(offset, offset, 0) * sharpness
         weight = weight * exponent.clamp_min(NEGLIGIBLE).exp()
-        agree = (normal.detach() * towards.detach()[:, None, None]).sum(0)
+        agree = dot(normal.detach(), towards.detach()[:, None, None], 0)
         sign = torch.maximum(torch.copysign(weight, agree), self.least)
-        normal, weight = sign * normal, sign.abs()
-        distance, total = (normal * offset).sum((0, 2)), weight.sum(1)
-        beside = (offset * weight).sum(2)
-        return torch.cat((normal.sum(2), distance[None], total[None], beside))
+        weight, distance = sign.abs(), sign * dot(normal, offset, 0)
+        normal, beside = (sign * normal).sum(2), (weight * offset).sum(2)
+        return torch.cat((normal, distance.sum(1)[None], weight.sum(1)[None], beside))
 
 
 def _joined(grids: list[Tensor | None], first: Sequence[int]) -> Tensor | None:
