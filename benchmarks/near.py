@@ -63,7 +63,7 @@ class Source:
 def main(arguments: list[str] | None = None) -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("shapes", type=Path, help="folder of prepared shapes, one below for a group")
+    parser.add_argument("shapes", type=Path, help="prepared shapes, a folder a group")
     parser.add_argument("--weights", default="base", help="name or folder of the field's weights")
     parser.add_argument("--radius", type=float, default=0.1, help="of the geodesics (default 0.1)")
     parser.add_argument("-o", "--out", type=Path, default=RESULTS)

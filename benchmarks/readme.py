@@ -38,6 +38,11 @@ def motions() -> str:
     return (RESULTS / "motions.md").read_text("utf-8").strip()
 
 
+def near() -> str:
+    """The table that `benchmarks.near` wrote."""
+    return (RESULTS / "near.md").read_text("utf-8").strip()
+
+
 def speed() -> str:
     """The table that `benchmarks.speed` wrote."""
     return (RESULTS / "speed.md").read_text("utf-8").strip()
@@ -72,6 +77,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy,
     "procedural": procedural,
     "motions": motions,
+    "near": near,
     "speed": speed,
     "deploy": deploy,
     "card": card,
