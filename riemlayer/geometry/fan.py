@@ -99,8 +99,8 @@ def fan_of(
         rays: number of geodesics.
         radius: trained radius; they are `REACH` times as long.
         steps: of their walks, at least; as many from each point that is kept to the next.
-        tangent: (S, 3) unit normals of the tangent planes that they leave along and that logs lie
-            in, as those of `walk` along tangent vectors; by default of the planes.
+        tangent: (S, 3) unit normals, of any sign, of the tangent planes that they leave along and
+            that logs lie in, as those of `walk` along tangent vectors; by default of the planes.
     """
     n, height = planes.plane(p, place)
     normal = n if tangent is None else tangent
@@ -109,9 +109,7 @@ def fan_of(
     angle = torch.arange(rays, dtype=p.dtype, device=p.device) * (2 * math.pi / rays)
     turn = torch.stack((angle.cos(), angle.sin()), -1)
     v = product(turn, axes.mT).flatten(0, 1)  # (S rays, 3)
-    start, n, height, place = (
-        y.repeat_interleave(rays, 0) for y in (p, side * n, side * height, place)
-    )
+    start, n, height, place = (y.repeat_interleave(rays, 0) for y in (p, n, height, place))
     n = normalise(n - _along(n, v) * v)
     at, site = Walked.starting(start, v, n), planes.site(place)
     each = math.ceil(steps / LENGTHS)
@@ -125,7 +123,7 @@ def fan_of(
             parts.append(torch.cat((lifted, at.vector, at.normal, length, at.met / i), -1))
     parts = torch.stack(parts, 1).unflatten(0, (len(p), rays))  # (S, rays, LENGTHS, ...)
     x, carried, n, length, met = parts.split((3, 3, 3, 1, MET), -1)
-    across = torch.linalg.cross(n, carried)
+    across = side[:, None, None] * torch.linalg.cross(n, carried)
     cosine, sine = turn[:, None].split(1, -1)
     first, second = cosine * carried - sine * across, sine * carried + cosine * across
     offset = length * turn[:, None] - torch.cat((_along(first, x), _along(second, x)), -1)
