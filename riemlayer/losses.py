@@ -15,6 +15,10 @@ from riemlayer.heads.branch import MapHead
 from riemlayer.numerics import product, safe_norm
 from riemlayer.surface import EncodedSurface
 
+WILD = 5.0
+"""Norm of a Jacobian, 1.7 of an isometry, from which on a map jumps, as walks do at rims: there
+Eq. (3) says nothing of the network, and one query would outweigh all others (ours)."""
+
 
 @dataclass(frozen=True)
 class LossWeights:
@@ -81,17 +85,13 @@ def isometric_loss(J: Tensor) -> Tensor:
 
 
 def conformal_loss(J: Tensor) -> Tensor:
-    """Eq. (3), right: sum_{i != j} |M_ij| with M = J^T J, averaged over queries.
-
-    Args:
-        J: (..., 3, 3) Jacobians, or (..., 3, 2) restricted to the tangent plane.
+    """Eq. (3), right: sum_{i != j} |M_ij| with M = J^T J, averaged over queries; J as above.
 
     >>> conformal_loss(2 * torch.eye(3))
     tensor(0.)
     """
     M = product(J.mT, J)
-    off = M - torch.diag_embed(M.diagonal(dim1=-2, dim2=-1))
-    return off.abs().sum((-2, -1)).mean()
+    return (M - torch.diag_embed(M.diagonal(dim1=-2, dim2=-1))).abs().sum((-2, -1)).mean()
 
 
 def cycle_loss(back: Tensor, v: Tensor, weight: Tensor) -> Tensor:
@@ -101,8 +101,6 @@ def cycle_loss(back: Tensor, v: Tensor, weight: Tensor) -> Tensor:
 
 def pair_loss(error: Tensor, apart: Tensor, weight: Tensor) -> Tensor:
     """Sobolev pairs (ours): L1 change of the error between two neighbours, over their distance.
-
-    It is what the metrics of angles and distances, Eqs (5) and (6), see of a map.
 
     Args:
         error: (..., K, 3) predicted minus true; query i pairs with query i + K/2.
@@ -189,7 +187,7 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
     are packed, accumulated, or on several ranks.
 
     Eq. (3) needs Jacobians, the costly part: it is averaged over every eighth query, and Eq. (4)
-    over every fourth, where the paper takes all.
+    over every fourth, where the paper takes all, and Eq. (3) where the map does not jump (`WILD`).
     """
     p, v, q, shape = truth.p[:, None], truth.v, truth.q, truth.shape[:, None]
     scale = surface.scale[shape][..., None]
@@ -214,8 +212,8 @@ def explog_losses(surface: EncodedSurface, truth: Truth, weights: LossWeights) -
         _, J_log = surface.jacobian_log(p, q[:, ::8], shape=shape)
         chosen = torch.logical_and(*labels)[:, ::8]
         for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
-            of_chosen = partial(_loss_of_chosen, loss)
-            terms[name] = mean(of_chosen, J_exp, chosen) + mean(of_chosen, J_log, chosen)
+            tame = partial(_where_tame, loss)
+            terms[name] = mean(tame, J_exp, chosen) + mean(tame, J_log, chosen)
             total = total + weights.geo * terms[name]
     return {"total": total, **terms}
 
@@ -255,8 +253,9 @@ def mean_over_shapes(
     return torch.stack([loss(*(x[row] for x in of)) for row in rows]).mean()
 
 
-def _loss_of_chosen(loss: Callable[[Tensor], Tensor], J: Tensor, chosen: Tensor) -> Tensor:
-    """0 where nothing is chosen: a mean of nothing is NaN."""
+def _where_tame(loss: Callable[[Tensor], Tensor], J: Tensor, chosen: Tensor | bool) -> Tensor:
+    """Eq. (3) over the chosen queries where the map does not jump; 0 without any."""
+    chosen = (J.detach().square().sum((-2, -1)) < WILD**2) & chosen
     return loss(J[chosen]) if chosen.any() else J.new_zeros(())
 
 
@@ -294,7 +293,8 @@ def self_supervised_losses(
         end, J_exp = surface.jacobian_exp(p, v[:, ::8], shape=shape)
         _, J_log = surface.jacobian_log(p, end.detach(), shape=shape)
         there = surface.frame(end.detach(), shape=shape)[..., :2].detach()
+        J_exp, J_log = product(J_exp, axes), product(J_log, there)
         for name, loss in (("isometric", isometric_loss), ("conformal", conformal_loss)):
-            terms[name] = loss(product(J_exp, axes)) + loss(product(J_log, there))
+            terms[name] = _where_tame(loss, J_exp, True) + _where_tame(loss, J_log, True)
             total = total + weights.geo * terms[name]
     return {"total": total, **terms}
