@@ -17,9 +17,11 @@ from riemlayer.losses import (
     mean_over_shapes,
     pair_loss,
     reconstruction_loss,
+    self_supervised_losses,
     validity_loss,
     weighted_mean,
 )
+from riemlayer.surface import EncodedSurface
 
 
 def double(*shape: int) -> torch.Tensor:
@@ -164,6 +166,32 @@ def test_queries_that_are_not_valid_or_known_do_not_count():
         masked = Truth(truth.p, truth.v, wrong, *labels, truth.shape)
         losses = explog_losses(surface, masked, LossWeights(pairs=1.0, geo=0))
         assert losses["exp"] < 1e-12
+
+
+@pytest.mark.parametrize("supervised", [True, False], ids=["supervised", "self-supervised"])
+def test_eq_3_leaves_out_queries_where_the_map_jumps(monkeypatch, supervised):
+    """They add nothing to the terms, and their gradient is 0, however steep the jump."""
+    surface = encoded()
+    truth, weights = truth_of(surface), LossWeights()
+    jump = torch.tensor(0.0, requires_grad=True)
+    for name in ("jacobian_exp", "jacobian_log"):
+        own = getattr(EncodedSurface, name)
+
+        def jumping(self, p, x, own=own, **how):
+            value, J = own(self, p, x, **how)
+            steep = torch.zeros(J.shape[:2], dtype=J.dtype)
+            steep[:, 0] = 1e8
+            return value, torch.eye(3, dtype=J.dtype) * (1 + steep * (1 + jump))[..., None, None]
+
+        monkeypatch.setattr(EncodedSurface, name, jumping)
+    if supervised:
+        terms = explog_losses(surface, truth, weights)
+    else:
+        terms = self_supervised_losses(surface, weights)
+    eq_3 = terms["isometric"] + terms["conformal"]
+    assert eq_3 < 1e-12
+    eq_3.backward()
+    assert jump.grad == 0
 
 
 def test_lengths_are_measured_in_the_cube():
