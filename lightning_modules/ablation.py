@@ -25,6 +25,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint, Timer
 import riemlayer
 from lightning_modules.callbacks import ExponentialAverage
 from lightning_modules.datamodule import ExpLogDataModule
+from lightning_modules.guard import DivergenceGuard
 from lightning_modules.pretrain import ExpLogPretraining
 from riemlayer.config import FieldConfig
 from riemlayer.losses import LossWeights
@@ -175,8 +176,7 @@ def train(
 ) -> dict[str, Any]:
     """Train one variant, save its averaged weights in `folder`, and say what it took.
 
-    Goes on from `folder/last.ckpt` where there is one. Validation comes after training and does not
-    count; `seconds` adds up all sittings.
+    Goes on from `folder/last.ckpt`; `seconds` adds up all sittings but validation, at the end.
     """
     L.seed_everything(seed, verbose=False)
     model = ExpLogPretraining(losses=variant.losses, config=variant.config)
@@ -190,7 +190,7 @@ def train(
         max_epochs=-1,
         gradient_clip_val=1.0,
         limit_val_batches=0,
-        callbacks=[average, timer, keep],
+        callbacks=[average, timer, keep, DivergenceGuard()],
     )
     begun = folder / CHECKPOINT if (folder / CHECKPOINT).exists() else None
     fit.fit(model, datamodule=data, ckpt_path=begun)
