@@ -13,7 +13,7 @@ from riemlayer.numerics import normalise, product
 
 FIRST = 3.0
 """Logit of the shares of the first planes and of the neighbourhood of most points, untrained."""
-PIECE = 1 << 14
+PIECE = 1 << 12
 """Points whose neighbourhoods are in memory at once: some hundred points each."""
 
 
