@@ -46,7 +46,7 @@ def decal(surface: Calculus, p: Tensor, up: Tensor, size: float, points: Tensor)
     if not size > 0:
         raise ValueError(f"size must be positive, got {size}")
     above = surface.to_2d(p, surface.project(p, up))
-    length = float(above.norm())
+    length = float(above.detach().norm())
     if length < 1e-3 * float(up.norm()) or length == 0:
         raise ValueError(f"up must have a part in the tangent plane at p, got {up.tolist()}")
     y = above / length
