@@ -17,6 +17,9 @@ DISC = 0.7
 """Radius, in cells, of the discs that the shell keeps its distance from."""
 SOFT = 0.4
 """Width, in cells, over which distances to several discs are blended."""
+LEAST = 1e-6
+"""Trilinear weight that discs count with at least: where all others are far, the derivative of the
+nearest one's share is one over its weight."""
 REACH = 2.0
 """Distance, in cells, from which on there is no shell."""
 LOW, HIGH = 0.1, 0.2
@@ -79,7 +82,7 @@ def distance(planes: LocalPlanes, x: Tensor, batch: Tensor) -> tuple[Tensor, Ten
     away = height + (1 - DISC * cell / spread).clamp_min(0) * flat
     gap = _norm(away, cell)
     nearer = (gap - gap.detach().amin(0)) / (-SOFT * cell)
-    weight = weight * nearer.clamp_min(NEGLIGIBLE).exp()
+    weight = weight.clamp_min(LEAST) * nearer.clamp_min(NEGLIGIBLE).exp()
     weight = weight / weight.sum(0)
     outwards = (weight * away / gap).sum(1)
     return (weight * gap).sum(0)[:, None], normalise(outwards.T)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from riemlayer.geometry import LocalPlanes, Shell, Walked, fan_of, log_on_fan, on_shell, walk
 from riemlayer.geometry.shell import HIGH, LOW, REACH, distance
+from riemlayer.octree import HALF_WIDTH
 
 H = 0.02
 """Height of the sources: a third of a cell."""
@@ -148,3 +149,24 @@ def test_gradients_in_start_vector_and_points(argument):
 
     x = arguments[argument].clone().requires_grad_()
     assert torch.autograd.gradcheck(end, (x,), fast_mode=True, atol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_where_a_disc_leaves_what_is_looked_at_its_distance_has_a_derivative(dtype):
+    """From places at which the one disc that is near has next to no trilinear weight."""
+    around = 0.004 * torch.rand(60, 3, dtype=torch.float64) - 0.002
+    disc = torch.tensor([0.49, 0, 0], dtype=torch.float64)
+    planes = planes_of(torch.cat((disc + around, -disc - around)).to(dtype), 5)
+    cell = planes.fine.level.cell_size
+    node = ((disc + HALF_WIDTH) / cell).floor() + 0.5
+    away = torch.arange(0, 40, dtype=torch.float64)[:, None, None] * 0.05
+    beside = torch.arange(-2, 3, dtype=torch.float64)[:, None]
+    steps = away * torch.tensor([-1.0, 0, 0]) + beside * torch.tensor([0.0, 1, 0])
+    x = ((node + steps) * cell - HALF_WIDTH).flatten(0, 1).to(dtype)
+
+    def far(x):
+        return distance(planes, x, torch.zeros(len(x), dtype=torch.long))
+
+    (gap, _), slopes = torch.func.jvp(far, (x,), (torch.ones_like(x),))
+    assert (gap < 2 * cell).any() and (gap > 100).any()
+    assert all(slope.abs().max() < 1e3 for slope in slopes)
