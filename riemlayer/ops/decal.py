@@ -47,7 +47,7 @@ def decal(surface: Calculus, p: Tensor, up: Tensor, size: float, points: Tensor)
         raise ValueError(f"size must be positive, got {size}")
     above = surface.to_2d(p, surface.project(p, up))
     length = float(above.detach().norm())
-    if length < 1e-3 * float(up.norm()) or length == 0:
+    if length < 1e-3 * float(up.detach().norm()) or length == 0:
         raise ValueError(f"up must have a part in the tangent plane at p, got {up.tolist()}")
     y = above / length
     x = torch.stack((y[1], -y[0]))
