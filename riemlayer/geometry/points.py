@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from riemlayer.geometry.grids import PlaneLevel, spacing_of
-from riemlayer.numerics import outer6, smallest_eigenvector, symmetric_eigenvalues
+from riemlayer.numerics import dot, outer6, smallest_eigenvector, symmetric_eigenvalues
 from riemlayer.octree import HALF_WIDTH, Level, Octree
 from riemlayer.octree.build import NEIGHBOURS, cell_of
 
@@ -82,7 +82,8 @@ class Points(NamedTuple):
         point = step + torch.arange(len(step), device=x.device)
         offset = self.xyz.index_select(1, point) - x.T.index_select(1, row)
         limit = radius.square().index_select(0, row)
-        near = (_square(offset.detach()) < limit).nonzero().squeeze(-1)
+        away = offset.detach()
+        near = (dot(away, away, 0) < limit).nonzero().squeeze(-1)
         return row.index_select(0, near), offset.index_select(1, near)
 
     def normals(self, x: Tensor, shape: Tensor, plane: PlaneLevel) -> list[Neighbourhood]:
@@ -123,7 +124,7 @@ def _sums(offset: Tensor, row: Tensor, radii: Sequence[Tensor]) -> Tensor:
     Added up by columns, which is faster than by rows.
     """
     x, y, z = offset
-    square = _square(offset)
+    square = dot(offset, offset, 0)
     moments = torch.stack((torch.ones_like(x), x, y, z, x * x, y * y, z * z, x * y, x * z, y * z))
     sums = []
     for h in radii:
@@ -131,9 +132,3 @@ def _sums(offset: Tensor, row: Tensor, radii: Sequence[Tensor]) -> Tensor:
         total = moments.new_zeros(10, len(h)).index_add(1, row, moments * weight)
         sums.append(total.T / torch.stack([torch.ones_like(h)] + [h] * 3 + [h * h] * 6, -1))
     return torch.cat(sums)
-
-
-def _square(columns: Tensor) -> Tensor:
-    """Squared lengths of the columns (3, P): faster than a sum over rows."""
-    x, y, z = columns
-    return x * x + y * y + z * z
