@@ -76,7 +76,7 @@ class HeadConfig:
     """Walks that both maps start from, up to four: over planes half as large as the leaves, a
     quarter as large, and as large; on the shell that a source beside the cloud lies on; 0: straight
     (q = p + v), as in the paper."""
-    walk_steps: int = 16
+    walk_steps: int = 14
     """Steps of the walks over planes, which are taken together; on a shell twice as many."""
     fan_rays: int = 48
     """Geodesics of each fan that Log starts from, one fan a walk of Exp, which answer as one over

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from riemlayer.geometry.moments import NEGLIGIBLE, NEIGHBOURHOOD
 from riemlayer.geometry.rims import may_end
-from riemlayer.geometry.site import Place, Site, place_of
+from riemlayer.geometry.site import Place, Site
 from riemlayer.numerics import dot, segment_sum
 from riemlayer.octree import HALF_WIDTH, Level, corners
 from riemlayer.octree.build import DENSE_LIMIT, OCTANTS
@@ -193,14 +193,13 @@ class Grids(NamedTuple):
         """What look-ups must know of places (Q,)."""
         if isinstance(place, Site):
             return place
-        each = self.scaling, self.strides, self.corners
+        each, scale = (self.scaling, self.strides, self.corners), self.scale_of(place)
         if len(self.which) > 1:
-            scale = self.scale_of(place)
             each = tuple(y[..., scale] for y in each)
         scaling, strides, corners = each
         if self.levels[0].batch_size > 1:
             corners = corners + self.shape_of(place).int() * strides[:, 3:]
-        return Site(place, scaling, strides[:, :3], corners)
+        return Site(place, scale, scaling, strides[:, :3], corners)
 
     def nodes(self, x: Tensor, place: Place, grids: slice) -> Nodes:
         """Those around `x` (3, Q) on some of the three grids."""
@@ -233,7 +232,9 @@ class Grids(NamedTuple):
 
     def scale_of(self, place: Place) -> Tensor:
         """Scale (Q,) of each place (Q,)."""
-        size, place = self.levels[0].batch_size, place_of(place)
+        if isinstance(place, Site):
+            return place.scale
+        size = self.levels[0].batch_size
         return place if size == 1 else place.div(size, rounding_mode="floor")
 
     def shape_of(self, place: Tensor) -> Tensor:

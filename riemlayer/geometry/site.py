@@ -17,6 +17,8 @@ class Site:
 
     place: Tensor
     """(Q,) int64"""
+    scale: Tensor
+    """(Q,) int64, its scale"""
     scaling: Tensor
     """(3, 4, Q) see `Grids`."""
     strides: Tensor
@@ -26,15 +28,24 @@ class Site:
 
     def __getitem__(self, rows: Tensor) -> Site:
         """That of some of the queries."""
-        return self._each(self.place[rows], lambda y: y.index_select(-1, rows))
+        place, scale = self.place[rows], self.scale[rows]
+        return self._each(place, scale, lambda y: y.index_select(-1, rows))
 
     def repeat(self, times: int) -> Site:
         """That of `times` queries at each place: of all of them, and of all of them again."""
-        return self._each(self.place.repeat(times), lambda y: y.repeat(1, 1, times))
+        place, scale = self.place.repeat(times), self.scale.repeat(times)
+        return self._each(place, scale, lambda y: y.repeat(1, 1, times))
 
-    def _each(self, place: Tensor, change: Callable[[Tensor], Tensor]) -> Site:
+    def repeat_interleave(self, times: int) -> Site:
+        """That of `times` queries at each place, one place after the other."""
+        place, scale = (y.repeat_interleave(times) for y in (self.place, self.scale))
+        if len(self.place) == 1:
+            return Site(place, scale, self.scaling, self.strides, self.corners)
+        return self._each(place, scale, lambda y: y.repeat_interleave(times, -1))
+
+    def _each(self, place: Tensor, scale: Tensor, change: Callable[[Tensor], Tensor]) -> Site:
         parts = self.scaling, self.strides, self.corners
-        return Site(place, *(y if y.shape[-1] == 1 else change(y) for y in parts))
+        return Site(place, scale, *(y if y.shape[-1] == 1 else change(y) for y in parts))
 
 
 Place = Tensor | Site

@@ -56,10 +56,10 @@ def walk(
 ) -> Walked:
     """Walk from `p` along `v` over the local planes in `steps` steps (appendix D).
 
-    Each step goes straight ahead, drops onto the plane found there, and turns the direction by the
-    smallest rotation that takes the last normal to the new one: parallel transport, where the paper
-    projects and renormalises. In 8 steps this is as accurate as projection in steps of half the
-    spacing. Where no plane is near the walk goes straight on.
+    Each step goes ahead, drops onto the plane found there, and turns the direction by the smallest
+    rotation that takes the last normal to the new one: parallel transport, where the paper projects
+    and renormalises. Ahead is the chord of a geodesic that bends as in the last step, where the
+    paper goes straight on; so does the walk where no plane is near.
 
     The length is that of a walk at the height of `p` above its plane, as on a shell around the
     cloud: what turns at that height take of it is not walked (ours).
@@ -83,19 +83,40 @@ def walk(
     tilt = (normal * v).sum(-1, keepdim=True) / square.clamp_min(negligible)
     normal = normalise(normal - tilt * v)
     at = Walked.starting(p, v, normal)
-    rest = torch.ones_like(square)
+    rest, before = torch.ones_like(square), at.vector
     for left in range(steps, 0, -1):
         share = rest.clamp_min(0) / left
-        at, turned = advance(planes, at, site, share)
+        chord, before = chord_ahead(before, at, square.clamp_min(negligible)), at.vector
+        at, turned = advance(planes, at, site, share, chord)
         rest = rest - share - height * turned / square.clamp_min(negligible)
     x = torch.addcmul(at.point, rest, at.vector)
     return at._replace(point=p + v + fade_in(square, cell) * (x - p - v))
 
 
+def chord_ahead(before: Tensor, at: Walked, square: Tensor) -> Tensor:
+    """Vectors (Q, 3) along the chords of geodesics that bend on as in the last step (ours).
+
+    They lean from the carried vectors by half the angle that these turned by: two-step
+    Adams-Bashforth, at no further look at the planes.
+
+    Args:
+        before: (Q, 3) the carried vectors before that step.
+        square: (Q, 1) their squared lengths, above 0.
+    """
+    bend = (at.normal * before).sum(-1, keepdim=True)
+    chord = torch.addcmul(at.vector, bend, at.normal, value=-0.5)
+    return chord / (1 + 0.25 * bend.square() / square).sqrt()
+
+
 def advance(
-    planes: LocalPlanes | Shell, at: Walked, site: Place, share: Tensor, halves: int = 2
+    planes: LocalPlanes | Shell,
+    at: Walked,
+    site: Place,
+    share: Tensor,
+    chord: Tensor | None = None,
+    halves: int = 2,
 ) -> tuple[Walked, Tensor]:
-    """One step of a walk, by a share (Q, 1) of the carried vector.
+    """One step of a walk, by a share (Q, 1) of `chord` (Q, 3), or else of the carried vector.
 
     A step that ends in the air, beyond all planes, is taken in `halves` instead, which land nearer
     to the rim or the edge that it left.
@@ -103,7 +124,7 @@ def advance(
     Also how the normal turned towards that vector (Q, 1): times |v| in radians, and above 0 where
     the surface bends away from the normal.
     """
-    x = at.point + share * at.vector
+    x = torch.addcmul(at.point, share, at.vector if chord is None else chord)
     ahead, gap, support, beside = planes.look(x, site, at.normal)
     turned = ((ahead - at.normal) * at.vector).sum(-1, keepdim=True)
     x = torch.addcmul(x, gap, ahead, value=-1)

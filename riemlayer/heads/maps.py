@@ -269,8 +269,8 @@ class LogHead(MapHead):
     ) -> tuple[Tensor, Tensor]:
         """Bent chords (S, K, 3), and what is told of them and of the planes at q (S, K, BENT)."""
         q, place = (p[:, None] + x).flatten(0, 1), shape + planes.fine.level.batch_size
-        place, side = (y.repeat_interleave(x.shape[1], 0) for y in (place, normal))
-        end, gap = planes.plane(q, place, side)
+        site = planes.site(place).repeat_interleave(x.shape[1])
+        end, gap = planes.plane(q, site, normal.repeat_interleave(x.shape[1], 0))
         gap, through = gap * end, outer6(end)
         end, gap, through = (y.unflatten(0, x.shape[:2]) for y in (end, gap, through))
         bent = bend(normal, x, end, planes.scales[1].fine.level.cell_size)
