@@ -5,7 +5,8 @@
 asks Exp along traced geodesics up to the radius, and Log at their ends, on the prepared shapes of
 DIR (a folder a group, as `python -m riemlayer.tables` reads them), and writes near.md and near.json
 to benchmarks/results. A source's tangent plane is off by the angle between the normal that the
-field reads from the cloud, `surface.normal`, and the mesh's. Mean and median are over sources.
+field reads from the cloud, `surface.normal`, and the mesh's. Mean and median are over sources. A
+second table compares Exp with heuristic walking on shortest geodesics, each of which counts alike.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import torch
 from benchmarks.measure import write_results
 from benchmarks.speed import RESULTS
 from riemlayer import ExpLogField
+from riemlayer.baselines import Walking
 from riemlayer.tables.evaluate import Shape
 from riemlayer.tables.render import markdown
 
@@ -41,6 +43,7 @@ COLUMNS = (
     "Log there",
     "% there",
 )
+COMPARED = ("group", "shortest geodesics", "Exp", "Tracing (heuristic walking)")
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,12 @@ class Source:
     log: float
     distance: float
     """Mean length of the geodesics."""
+    shortest: int
+    """How many of them are surely the shortest."""
+    exp_shortest: float
+    """Mean error of Exp along those; 0 without any."""
+    tracing_shortest: float
+    """That of heuristic walking."""
 
     @property
     def share(self) -> float:
@@ -91,16 +100,37 @@ def sources(field: ExpLogField, shape: Shape, radius: float) -> list[Source]:
     length, known = v.norm(dim=-1), torch.from_numpy(shape.ok)
     errors = surface.exp(p[:, None], v) - q, surface.log(p[:, None], q) - v
     exp, log = (error.norm(dim=-1) for error in errors)
-    return [
-        Source(off[s].rad2deg().item(), *(x[s, near].mean().item() for x in (exp, log, length)))
-        for s, near in enumerate(known & (length < radius))
-        if near.any()
-    ]
+    tracing = Walking()
+    tracing.prepare(shape.points)
+    found = []
+    for s, near in enumerate(known & (length < radius)):
+        if not near.any():
+            continue
+        means = (x[s, near].mean().item() for x in (exp, log, length))
+        sure = near & torch.from_numpy(shape.ok_tight[s])
+        there = tracing.exp(p[s].numpy(), v[s, sure].numpy()) - q[s, sure].numpy()
+        shortest = exp[s, sure], torch.from_numpy(there).norm(dim=-1)
+        on_shortest = (x.mean().item() if len(x) else 0.0 for x in shortest)
+        found.append(Source(off[s].rad2deg().item(), *means, int(sure.sum()), *on_shortest))
+    return found
 
 
 def table(groups: dict[str, list[Source]]) -> str:
-    """As Markdown, a row a group."""
-    return markdown(COLUMNS, [(group, *row(found)) for group, found in groups.items()])
+    """As Markdown, a row a group, and below it Exp beside heuristic walking."""
+    first = markdown(COLUMNS, [(group, *row(found)) for group, found in groups.items()])
+    lines = [(group, *compared(found)) for group, found in groups.items()]
+    return f"{first}\n\n{markdown(COMPARED, lines)}"
+
+
+def compared(found: Iterable[Source]) -> list[str]:
+    """What `COMPARED` says of some sources: all their shortest geodesics count alike."""
+    found = list(found)
+    count = sum(x.shortest for x in found)
+    sums = [
+        sum(x.shortest * getattr(x, name) for x in found)
+        for name in ("exp_shortest", "tracing_shortest")
+    ]
+    return [f"{count:,}", *(f"{x / count:.4f}" if count else "–" for x in sums)]
 
 
 def row(found: Iterable[Source]) -> list[str]:

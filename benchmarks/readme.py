@@ -43,6 +43,11 @@ def near() -> str:
     return (RESULTS / "near.md").read_text("utf-8").strip()
 
 
+def exact() -> str:
+    """The table that `benchmarks.exact` wrote."""
+    return (RESULTS / "exact.md").read_text("utf-8").strip()
+
+
 def speed() -> str:
     """The table that `benchmarks.speed` wrote."""
     return (RESULTS / "speed.md").read_text("utf-8").strip()
@@ -78,6 +83,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "procedural": procedural,
     "motions": motions,
     "near": near,
+    "exact": exact,
     "speed": speed,
     "deploy": deploy,
     "card": card,

@@ -49,7 +49,8 @@ def shape() -> Shape:
     fields |= {"src_normal": SPHERE.normal(V[:3]).numpy(), "end": SPHERE.exp(p, v).numpy()}
     known = np.ones((3, 20), bool)
     known[1, length[:, 0] < 0.1] = False
-    return Shape(**fields | {"ok": known})
+    sure = known & (np.arange(20) < 5)
+    return Shape(**fields | {"ok": known, "ok_tight": sure})
 
 
 def test_errors_and_the_tangent_plane_are_told_as_they_are(shape):
@@ -62,15 +63,24 @@ def test_errors_and_the_tangent_plane_are_told_as_they_are(shape):
         assert source.log == pytest.approx(0.002, rel=1e-3)
         assert source.distance == pytest.approx(length[length < 0.1].mean(), rel=1e-4)
         assert source.share == pytest.approx(100 * source.log / source.distance)
+        assert (source.shortest, source.exp_shortest) == (5, pytest.approx(0.01, rel=1e-3))
+        assert 0 < source.tracing_shortest < length[4]  # 50 points: it walks, if badly
 
 
 def test_a_row_has_means_medians_and_those_of_planes_that_are_well_told():
-    found = [near.Source(off, x, 2 * x, 0.05) for off, x in ((1, 0.001), (0, 0.003), (20, 0.02))]
+    values = (1, 0.001), (0, 0.003), (20, 0.02)
+    found = [near.Source(off, x, 2 * x, 0.05, 0, 0.0, 0.0) for off, x in values]
     count, off, *errors, told, exp, log, share = near.row(found)
     assert (count, off, told) == ("3", "7.0", "67%")
     assert errors == ["0.0080", "0.0030", "0.0160", "0.0060", "32.0", "12.0"]
     assert (exp, log, share) == ("0.0020", "0.0040", "8.0")
     assert near.row(found[2:])[-3:] == ["–"] * 3
+
+
+def test_shortest_geodesics_count_alike_whatever_source_they_start_from():
+    found = [near.Source(0, 1, 1, 1, n, x, 2 * x) for n, x in ((3, 0.01), (1, 0.03), (0, 0.0))]
+    assert near.compared(found) == ["4", "0.0150", "0.0300"]
+    assert near.compared(found[2:]) == ["0", "–", "–"]
 
 
 @pytest.mark.slow
