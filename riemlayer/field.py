@@ -26,6 +26,15 @@ from riemlayer.octree import build_octree
 from riemlayer.storage import Pretrained
 from riemlayer.surface import EncodedSurface
 
+GRID = 16
+"""Cells along each side of the cube by which it is told how far the points of a cloud are apart."""
+APART = 0.8
+"""Distance from point to point, in leaves, from which on a cloud is made smaller."""
+SMALLEST = 0.5
+"""Half the longest side in the cube that a cloud is given at least."""
+STEPS = 32
+"""Sizes that it may have, up to the whole cube."""
+
 
 class FieldOutput(NamedTuple):
     """What `ExpLogField.forward` answers; None where the query was not given."""
@@ -103,6 +112,8 @@ class ExpLogField(Pretrained, nn.Module):
             batch = torch.zeros(len(points), dtype=torch.long, device=points.device)
         centre, scale = bounding_cubes(points, batch)
         x = (points - centre[batch]) / scale[batch][:, None]
+        scale = scale / size_in_cube(x, batch, APART * 2 / 2**self.config.backbone.depth)
+        x = (points - centre[batch]) / scale[batch][:, None]
         embedding = self.embed(x.clamp(-1, 1), batch, normals)
         return EncodedSurface(self, embedding, centre, scale, points, batch)
 
@@ -175,6 +186,25 @@ def bounding_cubes(points: Tensor, batch: Tensor) -> tuple[Tensor, Tensor]:
     low = empty.scatter_reduce(0, index, points, "amin", include_self=False)
     high = empty.scatter_reduce(0, index, points, "amax", include_self=False)
     return (low + high) / 2, (high - low).amax(-1) / 2
+
+
+@torch.no_grad()
+def size_in_cube(x: Tensor, batch: Tensor, apart: float) -> Tensor:
+    """Half the longest side (B,) that clouds (N, 3), which fill the cube, are given in it (ours).
+
+    1, unless their points are further than `apart` from each other: then less, down to `SMALLEST`,
+    so that they are not. How far they are, up to a cell of a grid, is told by the number of its
+    cells that they lie in, each taken for a square of a sheet. In steps of 1 / `STEPS`, so that it
+    does not hang on the last digits.
+    """
+    clouds, count = int(batch[-1]) + 1, batch.bincount()
+    cell = ((x + 1) * (GRID / 2)).long().clamp(0, GRID - 1)
+    index = ((batch * GRID + cell[:, 0]) * GRID + cell[:, 1]) * GRID + cell[:, 2]
+    occupied = torch.zeros(clouds * GRID**3, dtype=torch.bool, device=x.device)
+    occupied[index] = True
+    area = (2 / GRID) ** 2 * occupied.view(clouds, -1).sum(-1).to(x.dtype)
+    size = apart / (area / count).sqrt()
+    return ((STEPS * size).round() / STEPS).clamp(SMALLEST, 1)
 
 
 def _has_bfloat16(device: str) -> bool:

@@ -173,8 +173,8 @@ def encode_tiled(
         field: with its weights.
         points: (N, 3) in the user's units.
         radius: trained tangent radius to be had, in the user's units: it sets the resolution. A
-            tile is `2 / field.config.radius` (4 for `base`) radii wide; a cloud of half-width h
-            that `field.encode` takes whole has radius `h * field.config.radius`.
+            tile is `2 / field.config.radius` (4 for `base`) radii wide; a dense cloud of half-width
+            h that `field.encode` takes whole has radius `h * field.config.radius`.
         overlap: least share of a tile's width that it shares with its neighbour along an axis,
             from 0 to below 1. Rounded up to whole coarsest cells. More of it costs more tiles.
         origin: (3,) a centre of a tile; by default that of the scene's bounding box.

@@ -26,7 +26,7 @@ SECTION = "r0.5_tight"
 """The mask that errors are measured on: shortest geodesics, up to the trained radius."""
 METRICS = ("exp", "log_end", "angle")
 LEVELS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03)
-DENSITIES = (2_000, 4_000, 8_000, 15_000)
+DENSITIES = (500, 1_000, 2_000, 4_000, 8_000, 15_000)
 POINTS = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 SOURCES = (1, 4, 16, 64, 256, 1024)
 
