@@ -68,7 +68,7 @@ class EncodedSurface(Calculus):
     centre: Tensor
     """(B, 3) of each cloud's bounding box, in the user's units."""
     scale: Tensor
-    """(B,) half the longest side of it."""
+    """(B,) half a side of the cube around it: half its longest side, more for sparse clouds."""
     points: Tensor
     """(N, 3) the packed clouds, in the user's units."""
     batch: Tensor
