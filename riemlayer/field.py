@@ -197,7 +197,7 @@ def size_in_cube(x: Tensor, batch: Tensor, apart: float) -> Tensor:
     cells that they lie in, each taken for a square of a sheet. In steps of 1 / `STEPS`, so that it
     does not hang on the last digits.
     """
-    clouds, count = int(batch[-1]) + 1, batch.bincount()
+    clouds, count = int(batch[-1]) + 1, batch.bincount().clamp_min(1)
     cell = ((x + 1) * (GRID / 2)).long().clamp(0, GRID - 1)
     index = ((batch * GRID + cell[:, 0]) * GRID + cell[:, 1]) * GRID + cell[:, 2]
     occupied = torch.zeros(clouds * GRID**3, dtype=torch.bool, device=x.device)
