@@ -110,12 +110,12 @@ class ExpLogField(Pretrained, nn.Module):
             checks.check_normals(normals, points)
         if batch is None:
             batch = torch.zeros(len(points), dtype=torch.long, device=points.device)
-        centre, scale = bounding_cubes(points, batch)
-        x = (points - centre[batch]) / scale[batch][:, None]
-        scale = scale / size_in_cube(x, batch, APART * 2 / 2**self.config.backbone.depth)
+        centre, half = bounding_cubes(points, batch)
+        x = (points - centre[batch]) / half[batch][:, None]
+        scale = half / size_in_cube(x, batch, APART * 2 / 2**self.config.backbone.depth)
         x = (points - centre[batch]) / scale[batch][:, None]
         embedding = self.embed(x.clamp(-1, 1), batch, normals)
-        return EncodedSurface(self, embedding, centre, scale, points, batch)
+        return EncodedSurface(self, embedding, centre, scale, half, points, batch)
 
     def encode_in_cube(
         self, points: Tensor, batch: Tensor, normals: Tensor | None = None
@@ -127,7 +127,7 @@ class ExpLogField(Pretrained, nn.Module):
         size = int(batch[-1]) + 1
         centre, scale = points.new_zeros(size, 3), points.new_ones(size)
         embedding = self.embed(points, batch, normals)
-        return EncodedSurface(self, embedding, centre, scale, points, batch)
+        return EncodedSurface(self, embedding, centre, scale, scale, points, batch)
 
     def embed(self, points: Tensor, batch: Tensor, normals: Tensor | None = None) -> Embedding:
         """Embedding field of packed clouds (N, 3) that already lie in the cube."""

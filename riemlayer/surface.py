@@ -68,7 +68,9 @@ class EncodedSurface(Calculus):
     centre: Tensor
     """(B, 3) of each cloud's bounding box, in the user's units."""
     scale: Tensor
-    """(B,) half a side of the cube around it: half its longest side, more for sparse clouds."""
+    """(B,) half a side of the cube around it: `half`, or more for sparse clouds."""
+    half: Tensor
+    """(B,) half the longest side of each cloud."""
     points: Tensor
     """(N, 3) the packed clouds, in the user's units."""
     batch: Tensor
@@ -79,7 +81,7 @@ class EncodedSurface(Calculus):
     @property
     def radius(self) -> Tensor:
         """Trained tangent radius of each cloud (B,), user's units; a scalar for one cloud."""
-        radius = self.field.config.radius * self.scale
+        radius = self.field.config.radius * self.half
         return radius[self.only or 0] if len(self) == 1 else radius
 
     @property
@@ -237,7 +239,7 @@ class EncodedSurface(Calculus):
 
     def radius_at(self, p: Tensor, shape: Tensor | None = None) -> Tensor:
         """Trained radius (...) of the cloud that each base point belongs to."""
-        return self.field.config.radius * self.scale[self._shape_of(p, shape)]
+        return self.field.config.radius * self.half[self._shape_of(p, shape)]
 
     def decode_exp(
         self, p: Tensor, v: Tensor, shape: Tensor | None = None, chunk_size: int = CHUNK
@@ -289,11 +291,6 @@ class EncodedSurface(Calculus):
         return (x - self.centre[index]) / self.scale[index][:, None], index, batch
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> EncodedSurface:
-        return replace(
-            self,
-            embedding=self.embedding.map(change),
-            centre=change(self.centre),
-            scale=change(self.scale),
-            points=change(self.points),
-            batch=change(self.batch),
-        )
+        tensors = ("centre", "scale", "half", "points", "batch")
+        changed = {name: change(getattr(self, name)) for name in tensors}
+        return replace(self, embedding=self.embedding.map(change), **changed)

@@ -173,8 +173,9 @@ def encode_tiled(
         field: with its weights.
         points: (N, 3) in the user's units.
         radius: trained tangent radius to be had, in the user's units: it sets the resolution. A
-            tile is `2 / field.config.radius` (4 for `base`) radii wide; a dense cloud of half-width
-            h that `field.encode` takes whole has radius `h * field.config.radius`.
+            tile is `2 / field.config.radius` (4 for `base`) radii wide; a cloud of half-width h
+            that `field.encode` takes whole has radius `h * field.config.radius`. Tiles keep that
+            scale where points are sparse, too.
         overlap: least share of a tile's width that it shares with its neighbour along an axis,
             from 0 to below 1. Rounded up to whole coarsest cells. More of it costs more tiles.
         origin: (3,) a centre of a tile; by default that of the scene's bounding box.
@@ -216,7 +217,7 @@ def encode_tiled(
     embedding = _embed(field, points, centre, lattice)
     order = owner.argsort(stable=True)
     scales = points.new_full((len(core),), scale)
-    tiles = EncodedSurface(field, embedding, centre, scales, points[order], owner[order])
+    tiles = EncodedSurface(field, embedding, centre, scales, scales, points[order], owner[order])
     return TiledSurface(tiles, lattice.step, points)
 
 

@@ -124,9 +124,9 @@ def _view(surface: EncodedSurface, turn: Tensor, normals: Tensor | None) -> View
     told = None if normals is None else product(normals, turn.T)
     cube = (x / scale[index][:, None]).clamp(-1, 1)
     embedding = surface.field.embed(cube, index, told)
+    middle = torch.zeros_like(surface.centre)
     return View(
-        turn,
-        EncodedSurface(surface.field, embedding, torch.zeros_like(surface.centre), scale, x, index),
+        turn, EncodedSurface(surface.field, embedding, middle, scale, surface.half, x, index)
     )
 
 

@@ -40,7 +40,7 @@ def ask(surface, p: Tensor, radius: float) -> tuple[Tensor, Tensor]:
 def test_the_tile_of_the_whole_scene_answers_as_encode(full_precision):
     points, field = torch.cat((lumpy(300), 0.2 * lumpy(99))), shaken("tiny", strength=0.3)
     whole = field.encode(points)
-    surface = encode_tiled(field, points, float(whole.radius))
+    surface = encode_tiled(field, points, field.config.radius * float(whole.scale))
     central = ((points - whole.centre) / whole.scale).abs().amax(-1) < CELL / 2
     p = points[central][::10]
     for x, y in zip(ask(surface, p, 0.3), ask(whole, p, 0.3), strict=True):
