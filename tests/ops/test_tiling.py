@@ -54,7 +54,7 @@ def test_seams_are_within_one_percent_of_the_radius():
     points = lumpy(1500).float()
     with torch.no_grad():
         whole = field.encode(points)
-    radius = float(whole.radius)
+    radius = field.config.radius * float(whole.scale)  # at which it has the same cells
     surface = encode_tiled(field, points, radius)
     centres = surface.tiles.centre[surface.tile(points)]
     cut = ((centres - whole.centre).abs().amax(-1) > 0.1 * radius).nonzero().squeeze(-1)
