@@ -25,6 +25,8 @@ LIKELY = 2.0
 """Logit of the validity until it is trained: most queries within the radius are valid."""
 STEEPNESS = 50.0
 """Fall of the validity's logit a radius beyond that."""
+SURE = 10.0
+"""Largest logit before that: a quarter of a radius further on nothing is valid."""
 
 
 class Embedding(NamedTuple):
@@ -127,11 +129,7 @@ class MapHead(nn.Module):
         if prior is not None and trust is not None:
             length = safe_norm(x) * (x != 0).any(-1, keepdim=True)  # 0 at 0, to the bit
             vector = prior + trust * length * (vector - vector[:, :1])
-        return MapOutput(vector, self.validity(logit, self.tangent(x, vector)))
-
-    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
-        """Which of query and answer is the tangent vector."""
-        raise NotImplementedError
+        return MapOutput(vector, self.validity(logit, x, vector))
 
     def decode(
         self, z: Tensor, x: Tensor, told: tuple[Tensor, ...], site: Tensor
@@ -147,10 +145,12 @@ class MapHead(nn.Module):
     def _logit(self, hidden: Tensor) -> Tensor:
         return self.valid(hidden.detach()).squeeze(-1)
 
-    def validity(self, logit: Tensor, v: Tensor) -> Tensor:
-        """The logit (S, K), lowered where the tangent vector `v` (S, K, 3) is too long."""
-        length = safe_norm(v.detach()).squeeze(-1) / self.radius
-        return logit - STEEPNESS * (length - TRAINED).clamp_min(0)
+    def validity(self, logit: Tensor, x: Tensor, vector: Tensor) -> Tensor:
+        """The logit (S, K), lowered where query or answer (S, K, 3), of which one is the tangent
+        vector and the other its chord, is too long: no geodesic is shorter than its chord."""
+        lengths = (safe_norm(y.detach()).squeeze(-1) for y in (x, vector))
+        length = torch.maximum(*lengths) / self.radius
+        return logit.clamp_max(SURE) - STEEPNESS * (length - TRAINED).clamp_min(0)
 
 
 class Gate(nn.Module):

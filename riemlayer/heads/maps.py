@@ -99,9 +99,6 @@ class ExpHead(MapHead):
         prior, trust = self.gate(ends, told, site)
         return Prepared(z, v, prior, tuple(told), site, trust)
 
-    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
-        return x
-
     def walks(
         self, field: Embedding, p: Tensor, v: Tensor, shape: Tensor, plane: Sequence[Tensor]
     ) -> list[Walked]:
@@ -276,9 +273,6 @@ class LogHead(MapHead):
         bent = bend(normal, x, end, planes.scales[1].fine.level.cell_size)
         told = (bent - flat) / self.radius, through, gap / self.radius
         return bent, torch.cat(told, -1)
-
-    def tangent(self, x: Tensor, vector: Tensor) -> Tensor:
-        return vector
 
 
 def _walked(
